@@ -27,8 +27,13 @@ from localize_sequences import ROOT, SEQUENCES, bag_of, views_of
 from trajectory_errors import truth_at
 
 from infomap_ros.geometry import PoseRecord, invert_transform, transform_points
-from infomap_ros.localization import AppearanceConfig, RangeView, describe, find_again
-from infomap_ros.localization.fiducials.appearance import corners_of
+from infomap_ros.localization.fiducials.appearance import (
+    AppearanceConfig,
+    corners_of,
+    describe,
+    find_again,
+)
+from infomap_ros.localization.fiducials.range_view import RangeView
 from infomap_ros.localization.fiducials.selection import select_fiducials
 from infomap_ros.replay.bags.reader import BagReader
 from infomap_ros.replay.localizing.localize_inputs import LocalizeOptions

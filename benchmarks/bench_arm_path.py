@@ -23,10 +23,11 @@ from ompl import util
 
 from infomap_ros.geometry.resources import find_share
 from infomap_ros.mapping.distance_field import DistanceField, field_of_blocked
-from infomap_ros.motion import RobotModel
 from infomap_ros.motion.arm.arm_path import ArmPathConfig, plan_arm_path
-from infomap_ros.motion.collision.checker import CollisionBody, CollisionChecker
+from infomap_ros.motion.collision.body import CollisionBody
+from infomap_ros.motion.collision.checker import CollisionChecker
 from infomap_ros.motion.collision.kernels import is_free
+from infomap_ros.motion.robot.robot_model import RobotModel
 
 SIZE = 0.05
 FIRST = np.array((-40, -40, -10))
@@ -65,7 +66,9 @@ def ompl_solver(
         setup = og.SimpleSetup(states)
         information = setup.getSpaceInformation()
         setup.setStateValidityChecker(
-            lambda s: bool(is_free(space, np.array([s[j] for j in range(count)]), scratch))
+            lambda s: bool(
+                is_free(space, np.array([s[j] for j in range(count)]), space.T_map_base, scratch)
+            )
         )
         information.setStateValidityCheckingResolution(spacing / states.getMaximumExtent())
         ends = []
@@ -115,7 +118,7 @@ def main() -> None:
         qs = rng.uniform(robot.arm.lower, robot.arm.upper, (40 * arguments.queries, len(robot.arm)))
         qs = qs[checker.are_free(qs, BASE)]
         pairs = zip(qs[::2], qs[1::2], strict=False)
-        blocked = [pair for pair in pairs if not checker.first_on_way(*pair, BASE).free]
+        blocked = [pair for pair in pairs if checker.contact_on_way(*pair, BASE)]
         queries = blocked[: arguments.queries]
         solvers: dict[str, Callable[[np.ndarray, np.ndarray], bool]] = {
             "plan_arm_path": lambda a, b, c=checker: plan_arm_path(c, a, b, BASE, config).converged,

@@ -23,8 +23,11 @@ import numpy as np
 from infomap_ros.geometry.resources import find_share
 from infomap_ros.mapping.terrain.measures import largest_steps, plane_misfits
 from infomap_ros.mapping.terrain.terrain import Terrain
-from infomap_ros.motion import BasePath, BasePlanner, RobotModel, Vehicle
+from infomap_ros.motion.base.base_planner import BasePlanner
+from infomap_ros.motion.base.drive_space import BasePath
 from infomap_ros.motion.base.path_following import PathFollower, PathFollowingConfig
+from infomap_ros.motion.base.vehicle import Vehicle
+from infomap_ros.motion.robot.robot_model import RobotModel
 from infomap_ros.simulation.worlds.builder import World
 from infomap_ros.simulation.worlds.scenes import WORLDS, make_world
 

@@ -23,22 +23,17 @@ import numpy as np
 from infomap_ros.geometry import Box, PinholeCamera, PlacedSolid, StereoRig, make_transform
 from infomap_ros.geometry.resources import find_share
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
-from infomap_ros.motion import RobotModel
-from infomap_ros.motion.arm.camera_heights import camera_heights
 from infomap_ros.motion.reaching import WholeBodyReach
-from infomap_ros.motion.robot.solid_extent import solid_extent
+from infomap_ros.motion.robot.robot_model import RobotModel
+from infomap_ros.motion.robot.solid_extent import camera_heights, solid_extent
 from infomap_ros.studies.analytic_scene import AnalyticScene
-from infomap_ros.views import (
-    ExpectedInformation,
-    InformationConfig,
-    NextBestView,
-    NextBestViewConfig,
-    RegionOfTask,
-    Situation,
-    ViewDecision,
-)
+from infomap_ros.views.decision import ViewDecision
+from infomap_ros.views.information.information_config import InformationConfig
+from infomap_ros.views.information.view_information import ExpectedInformation
+from infomap_ros.views.next_best_view import NextBestView, NextBestViewConfig
 from infomap_ros.views.sampling.candidates import CandidateConfig
 from infomap_ros.views.sampling.orientations import look_rotations
+from infomap_ros.views.situation import RegionOfTask, Situation
 
 VOXEL, RANGE, HEIGHT = 0.05, 5.0, 3.0
 CAMERA = PinholeCamera(160, 120, 130.0, 130.0, 79.5, 59.5)

@@ -11,7 +11,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from infomap_ros.localization import FiducialFilter, FiducialFilterConfig
+from infomap_ros.localization.filter.config import FiducialFilterConfig
+from infomap_ros.localization.filter.fiducial_filter import FiducialFilter
 from infomap_ros.studies.pose_consistency import CAMERA, Room, circle, odometry
 
 FIDUCIALS = 800  # in the room

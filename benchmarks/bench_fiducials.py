@@ -30,15 +30,14 @@ import numpy as np
 from drawn_drive import BASELINE, FOCAL, Disturbance, Moment, draw, unchanged
 from localize_sequences import ROOT, SEQUENCES, bag_of, views_of
 
-from infomap_ros.localization import (
+from infomap_ros.localization.fiducials.range_view import RangeView
+from infomap_ros.localization.fiducials.selection import (
     FiducialSelectionConfig,
-    FiducialTracker,
-    RangeView,
-    SparseStereoConfig,
+    corner_candidates,
     select_fiducials,
 )
-from infomap_ros.localization.fiducials.selection import corner_candidates
-from infomap_ros.localization.fiducials.sparse_stereo import match_pixels
+from infomap_ros.localization.fiducials.sparse_stereo import SparseStereoConfig, match_pixels
+from infomap_ros.localization.fiducials.tracker import FiducialTracker
 from infomap_ros.replay.bags.reader import BagReader
 from infomap_ros.replay.localizing.localize_inputs import LocalizeOptions
 from infomap_ros.stereo.ground_truth import load_pairs

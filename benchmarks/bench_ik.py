@@ -28,7 +28,8 @@ import numpy as np
 import pinocchio
 
 from infomap_ros.geometry import quaternion_from_transform
-from infomap_ros.motion import RobotModel, solve_ik, solve_ik_batch
+from infomap_ros.motion.arm.inverse_kinematics import solve_ik, solve_ik_batch
+from infomap_ros.motion.robot.robot_model import RobotModel
 
 try:
     import pytracik

@@ -17,7 +17,8 @@ from bench_decision import RIG, decide, hall, rover, seen
 
 from infomap_ros.exploration.fiducial_error import FiducialLocalizationError
 from infomap_ros.localization.filter.records import Fiducials
-from infomap_ros.views import NextBestView, Situation
+from infomap_ros.views.next_best_view import NextBestView
+from infomap_ros.views.situation import Situation
 
 SIDE = 10.0
 

@@ -22,7 +22,7 @@ import numpy as np
 from infomap_ros.geometry import make_transform, perturb_transform
 from infomap_ros.geometry.resources import find_share
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
-from infomap_ros.mapping.correction.reintegration import reintegrate
+from infomap_ros.mapping.correction.reintegration import Reintegration, moved_scans
 from infomap_ros.mapping.correction.scan_record import keep_scan
 from infomap_ros.mapping.correction.scan_store import ScanStore, integrate_record
 from infomap_ros.pipeline.pipeline import Fused
@@ -140,14 +140,15 @@ def measure(voxel_size: float, figure: Path | None) -> dict[str, float | int]:
     poses = {frame.stamp: (frame.pose, frame.uncertainty) for frame in frames}
     first, some = frames[0], list(store)[len(frames) // 2]
     start = time.perf_counter()
-    report = reintegrate(voxel_map, store, poses)
+    moved = moved_scans(store, poses, voxel_map)
+    report = Reintegration(voxel_map, store, moved).finish()
     taken = time.perf_counter() - start
     last = {store_scan.stamp: poses[store_scan.stamp] for store_scan in list(store)[-1:]}
     shifted = {s: (p @ make_transform(np.eye(3), [0.1, 0, 0]), c) for s, (p, c) in last.items()}
     start = time.perf_counter()
-    one = reintegrate(voxel_map, store, shifted)
+    one = Reintegration(voxel_map, store, moved_scans(store, shifted, voxel_map)).finish()
     taken_by_one = time.perf_counter() - start
-    reintegrate(voxel_map, store, last)
+    Reintegration(voxel_map, store, moved_scans(store, last, voxel_map)).finish()
     fresh = VoxelMap(config)
     start = time.perf_counter()
     for scan in store:

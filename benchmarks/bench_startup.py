@@ -17,7 +17,7 @@ from pathlib import Path
 
 from stereo_bag import write_stereo_bag
 
-from infomap_ros.nodes.live.live_run import LiveRun
+from infomap_ros.nodes.live.bag_demo import LiveRun
 
 
 def seconds_to_first_update(bag: Path) -> float:

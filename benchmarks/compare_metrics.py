@@ -21,7 +21,9 @@ import room
 
 from infomap_ros.geometry import PinholeCamera, make_transform
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
-from infomap_ros.views import METRICS, InformationConfig, expected_information
+from infomap_ros.studies.metrics.published_metrics import EVERY_METRIC
+from infomap_ros.views.information.expected_information import expected_information
+from infomap_ros.views.information.information_config import InformationConfig
 
 CAMERA = PinholeCamera(128, 96, 105.0, 105.0, 63.5, 47.5)
 GRID = VoxelMapConfig(voxel_size=0.1, max_range=4.0)
@@ -85,7 +87,8 @@ def explored(
     for view in range(1, views + 1):
         poses, chosen = random_views(rng, CANDIDATES, voxel_map), 0
         if metric != "random":
-            bits = expected_information(voxel_map, poses, CAMERA, 4.0, metric, config, REGION)
+            rated_by = EVERY_METRIC[metric]
+            bits = expected_information(voxel_map, poses, CAMERA, 4.0, rated_by, config, REGION)
             chosen = int(bits.argmax())
         scan(voxel_map, poses[chosen])
         if view % REPORT_EVERY == 0:
@@ -98,7 +101,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--views", type=int, default=24)
-    parser.add_argument("--metrics", nargs="+", default=[*METRICS, "random"])
+    parser.add_argument("--metrics", nargs="+", default=[*EVERY_METRIC, "random"])
     parser.add_argument("--known-weight", type=float, default=CONFIG.known_weight)
     parser.add_argument("--unknown-occlusion", type=float, default=CONFIG.unknown_occlusion)
     arguments, truth = parser.parse_args(), true_room()

@@ -20,7 +20,7 @@ from infomap_ros.geometry import (
     make_transform,
     transform_points,
 )
-from infomap_ros.localization import StereoView
+from infomap_ros.localization.fiducials.range_view import StereoView
 from infomap_ros.simulation.cameras.rendering import Renderer
 from infomap_ros.simulation.worlds.scenes import make_world
 from infomap_ros.stereo import StereoRangeSensor

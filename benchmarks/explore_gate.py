@@ -33,8 +33,7 @@ from typing import Any
 
 from rows import markdown_table, percent, software
 
-from infomap_ros.exploration.records.log_parsing import RunLogError
-from infomap_ros.exploration.records.recorded_run import RecordedRun, read_run
+from infomap_ros.exploration.records.recorded_run import RecordedRun, RunLogError, read_run
 from infomap_ros.geometry.atomic_file import write_json
 from infomap_ros.simulation.cameras.stereo_camera import DRAWN_FAST
 

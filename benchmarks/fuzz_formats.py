@@ -32,7 +32,7 @@ from infomap_ros.exploration.mission import Mission
 from infomap_ros.localization.saved_localization import SavedLocalization
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.mapping.files.map_file import MAP_FILE_VERSION
-from infomap_ros.mapping.files.octomap_file import read_bt
+from infomap_ros.mapping.files.octomap_file import read_octree
 from infomap_ros.messages import (
     POINT_CLOUD,
     RosbagsMessageTypes,
@@ -261,7 +261,7 @@ ROBOT = {
 FILES: dict[str, tuple[str, Callable[[], st.SearchStrategy[bytes]], Reader]] = {
     "map": ("a.infomap", map_files, VoxelMap.load),
     "localization": ("a.state", map_files, SavedLocalization.load),
-    "octree": ("a.bt", octrees, lambda path: read_bt(path).edges),
+    "octree": ("a.bt", octrees, lambda path: read_octree(path).edges),
     "bag": ("a.mcap", bags, read_bag),
     "description": ("a.urdf", descriptions, RobotModel.from_urdf),
     "mission": ("mission.json", lambda: some_of(MISSION), Mission.load),

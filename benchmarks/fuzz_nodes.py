@@ -51,7 +51,7 @@ from infomap_ros.messages import (
     encode_text,
 )
 from infomap_ros.messages.clouds import encode_point_cloud
-from infomap_ros.motion import RobotModel
+from infomap_ros.motion.robot.robot_model import RobotModel
 from infomap_ros.nodes.common.message_types import RclpyMessageTypes
 from infomap_ros.nodes.dead_reckoning import DeadReckoningNode
 from infomap_ros.nodes.explorer import ExplorerNode

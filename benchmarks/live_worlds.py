@@ -90,7 +90,7 @@ def _cells(row: dict[str, Any]) -> tuple[str, ...]:
 
 def main() -> int:
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends the nodes too
-    usual = DemoConfig(known_fraction=0.96, max_views=100, timeout=4.0 * 3600.0)
+    usual = DemoConfig(size=0.0, known_fraction=0.96, max_views=100, timeout=4.0 * 3600.0)
     parser = argparse.ArgumentParser(
         description=__doc__.split("\n")[0], formatter_class=argparse.ArgumentDefaultsHelpFormatter
     )

@@ -28,7 +28,7 @@ import numpy as np
 from sensor_msgs.msg import Image
 from stereo_bag import write_stereo_bag
 
-from infomap_ros.nodes.live.live_run import LEFT, LiveRun
+from infomap_ros.nodes.live.bag_demo import LEFT, LiveRun
 
 SETTLING = 300.0  # [s]
 ALLOWED_GROWTH = 1.05

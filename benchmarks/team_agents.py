@@ -26,7 +26,7 @@ from infomap_ros.exploration.team.teamwork import Presence, Teamwork
 from infomap_ros.geometry import PinholeCamera, PoseRecord, make_transform
 from infomap_ros.geometry.resources import find_share
 from infomap_ros.messages.agents import decode_agent_texts, encode_agent
-from infomap_ros.motion import RobotModel
+from infomap_ros.motion.robot.robot_model import RobotModel
 from infomap_ros.nodes.common.message_types import RclpyMessageTypes
 from infomap_ros.team.authentication import TeamKey
 

@@ -26,7 +26,9 @@ from infomap_ros.messages import RosbagsMessageTypes
 from infomap_ros.messages.rows import encode_rows
 from infomap_ros.studies.team.team_lag import LagMeter
 from infomap_ros.studies.team.team_network import Radio, TeamNetwork
-from infomap_ros.team import MapUpdate, TeamConfig, decode_update, encode_update
+from infomap_ros.team.config import TeamConfig
+from infomap_ros.team.update import MapUpdate
+from infomap_ros.team.wire import decode_update, encode_update
 
 PERIOD = 0.5  # between two views [s]
 

@@ -135,7 +135,7 @@ class MissionFileError(InfomapError):
 
 
 class RunLogError(InfomapError, ValueError):
-    """A run log cannot be read: missing, empty, or not the log of an exploration."""
+    """A run log, or one of its lines, cannot be used; says which line and why."""
 
 
 class ExplorationError(InfomapError, RuntimeError):

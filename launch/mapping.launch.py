@@ -15,20 +15,11 @@ ARGUMENTS = {
     "rate": ("1.0", "Speed of the replay."),
     "acknowledged": ("false", "Play as fast as the nodes follow, whatever the rate."),
     "loop": ("false", "Play the bag again and again."),
-    "source": ("stereo", "stereo: a pair of cameras; depth: a depth camera."),
-    "localization": (
-        "fiducials",
-        "fiducials: fiducial_localization; odometry: dead_reckoning; pose: camera_pose comes from "
-        "elsewhere, as from the bag.",
-    ),
-    "rectify": ("true", "The images are raw and must be rectified."),
     "map_file": ("map.infomap", "File of the map, saved from time to time and at the end."),
     "resume": ("false", "Load map_file at the start."),
     "voxel_size": ("0.05", "Edge length of a voxel [m]."),
     **ROBOT_ARGUMENTS,
 }
-IMAGES = [f"{s}/{kind}" for s in ("left", "right") for kind in ("image_raw", "camera_info")]
-MOTION = ["odom", "joint_states"]
 
 
 def generate_launch_description() -> LaunchDescription:
@@ -40,7 +31,6 @@ def _processes(given: dict[str, str]) -> list:
     if bag and not Path(bag).exists():
         bag = str(find_share(bag))
     robot = RobotLaunch(given, simulated=bool(bag))
-    seeing = {"source": robot.source, "rectify": robot.rectify}
     fusion = {
         "map_file": given["map_file"],
         "resume": given["resume"] == "true",
@@ -48,13 +38,10 @@ def _processes(given: dict[str, str]) -> list:
         "voxel_size": float(given["voxel_size"]),
     }
     nodes = [
-        robot.node("stereo_range", seeing, IMAGES),
-        robot.node("map_fusion", fusion, ["points2", "camera_pose", "joint_states"]),
+        robot.node(name, {} if name == "dead_reckoning" else robot.seeing, topics)
+        for name, topics in robot.sensing().items()
     ]
-    if given["localization"] == "fiducials":
-        nodes.append(robot.node("fiducial_localization", seeing, [*IMAGES, *MOTION]))
-    if given["localization"] == "odometry":
-        nodes.append(robot.node("dead_reckoning", {}, [*MOTION, "left/camera_info"]))
+    nodes.append(robot.node("map_fusion", fusion, ["points2", "camera_pose", "joint_states"]))
     if bag:
         nodes.append(robot.node("bag_player", _player(bag, given, robot)))
     return [*nodes, *robot.viewers()]

@@ -3,7 +3,7 @@
 ros2 launch infomap_ros team.launch.py robots:=3
 ros2 launch infomap_ros team.launch.py robots:=2 world:=office max_views:=10 out:=$HOME/team
 
-A team of real robots: exploration.launch.py on each, with namespace, robot_id and team.
+A team of real robots: robot.launch.py on each, with namespace, robot_id and team.
 """
 
 from pathlib import Path
@@ -51,7 +51,7 @@ def _processes(given: dict[str, str]) -> list:
             nodes[name] |= task_parameters(world, limits)
         usual = {name: default for name, (default, _) in ROBOT_ARGUMENTS.items()}
         identity = {"namespace": names[number], "robot_id": str(number + 1)}
-        robot = RobotLaunch({**usual, "rectify": "true", **given, **identity}, simulated=True)
+        robot = RobotLaunch({**usual, **given, **identity}, simulated=True)
         processes += [robot.node(name, _as_given(values)) for name, values in nodes.items()]
     return processes
 

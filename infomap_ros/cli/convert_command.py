@@ -1,6 +1,7 @@
 """Command ``infomap convert``."""
 
 import json
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Optional
 
@@ -63,5 +64,6 @@ def convert(
         depth_unit=depth_unit,
         is_rectified=_WORDS[rectified],
     )
-    count = convert_sequence(layout, folder, out, options, overwrite)
+    say = partial(typer.echo, err=True)
+    count = convert_sequence(layout, folder, out, options, overwrite, say)
     typer.echo(json.dumps({"bag": str(out), "messages": count}))

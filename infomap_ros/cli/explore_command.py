@@ -3,10 +3,12 @@
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from types import TracebackType
+from typing import Annotated, Any, Self
 
 import typer
 from rich.console import Console
+from rich.status import Status
 
 from infomap_ros.cli.command_options import Out, Overwrite, Setting, chosen, lists_settings
 from infomap_ros.cli.interrupts import INTERRUPTED, stops_when_interrupted
@@ -19,10 +21,60 @@ from infomap_ros.exploration.control import Request
 from infomap_ros.exploration.loop import EndReason
 from infomap_ros.mapping.files.pictures import draw_map_views
 from infomap_ros.simulation.exploring.exploration_run import ExplorationOptions, ExplorationRun
-from infomap_ros.simulation.exploring.run_progress import RunProgress
 from infomap_ros.simulation.robots.robot_file import RobotFile
 from infomap_ros.viewer import LivePage
 from infomap_ros.viewer.exploration_display import ExplorationDisplay
+
+
+class RunProgress:
+    """One line that says how far the exploration is, and a line for each choice.
+
+    Args:
+        console: where to.
+    """
+
+    def __init__(self, console: Console) -> None:
+        self._console = console
+        self._status = Status("preparing world and kernels", console=console)
+
+    def __enter__(self) -> Self:
+        self._status.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._status.stop()
+
+    def show(self, entry: Mapping[str, Any]) -> None:
+        """Show an entry of the run log."""
+        kind = entry["kind"]
+        if kind == "progress":
+            self._status.update(progress_line(entry))
+        elif kind == "decision":
+            self._console.print(f"{entry['t']:7.1f} s  {entry['reason']}", highlight=False)
+        elif kind == "motion" and entry["outcome"]:
+            text = f"{entry['action']}: {entry['outcome']}"
+            self._console.print(f"{entry['t']:7.1f} s  {text}", highlight=False)
+        elif kind == "end":
+            text = f"ended: {entry['reason']}: {entry['detail']}"
+            self._console.print(f"{entry['t']:7.1f} s  {text}", highlight=False)
+
+
+def progress_line(entry: Mapping[str, Any]) -> str:
+    """A progress entry in words."""
+    sigma = entry["mean_sigma"]
+    precision = "" if sigma is None else f", mean sigma {1e3 * sigma:.1f} mm"
+    return (
+        f"{entry['views']} views, {entry['distance']:.1f} m, "
+        f"{100.0 * entry['known_fraction']:.1f} % known, "
+        f"{100.0 * entry['precise_fraction']:.1f} % precisely, "
+        f"{entry['entropy_bits']:,.0f} bits left{precision}"
+    )
+
 
 Watcher = Callable[[Mapping[str, Any]], None]
 
@@ -42,7 +94,8 @@ def explore(
     world: Annotated[
         str,
         typer.Option(
-            help="mars, office, cave; a mesh (.stl .obj .dae .ply .glb) or a floor plan (.yaml)"
+            help="mars, office, cave; a mesh (.stl .obj .dae .ply .glb), a floor plan (.yaml) or "
+            "an octree (.bt .ot)"
         ),
     ] = _DEFAULTS.world.name,
     size: Annotated[

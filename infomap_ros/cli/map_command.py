@@ -5,7 +5,6 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated, Optional
 
-import numpy as np
 import typer
 
 from infomap_ros.cli.command_options import (
@@ -27,7 +26,6 @@ from infomap_ros.cli.live_display import Live, live_page
 from infomap_ros.cli.progress_bar import run_with_bar
 from infomap_ros.cli.results import length, results_in, say_results
 from infomap_ros.errors import BagError, CapacityError
-from infomap_ros.exploration.reports.report_page.axes import rounded_up
 from infomap_ros.replay.mapping.map_files import FILES, write_map_files
 from infomap_ros.replay.mapping.map_inputs import MapOptions
 from infomap_ros.replay.mapping.map_run import MapRun, Progress
@@ -36,7 +34,7 @@ from infomap_ros.viewer import LivePage
 from infomap_ros.viewer.scan_display import ScanDisplay
 
 _DEFAULTS = MapOptions()
-_NEAR = 0.1  # share by which a round number may be too small
+_USUAL = _DEFAULTS.map
 
 
 @takes_topics(*IMAGE_TOPICS, "pose_topic", "joints")
@@ -46,11 +44,13 @@ def map_bag(
     topics: Mapping[str, str],
     calibration: Calibration = None,
     voxel_size: Annotated[
-        float, typer.Option(help="edge of a voxel [m]")
-    ] = _DEFAULTS.map.voxel_size,
+        Optional[float],
+        typer.Option(help=f"edge of a voxel [m]; {_USUAL.voxel_size:g}, more in a large scene"),
+    ] = None,
     max_range: Annotated[
-        float, typer.Option(help="farthest mapped point [m]")
-    ] = _DEFAULTS.map.max_range,
+        Optional[float],
+        typer.Option(help=f"farthest point [m]; {_USUAL.max_range:g}, more in a large scene"),
+    ] = None,
     source: Source = _DEFAULTS.input.source,
     rectify: Rectify = _DEFAULTS.input.rectify,
     poses: Annotated[
@@ -80,7 +80,8 @@ def map_bag(
         "--map-frame": ("input.map_frame", map_frame),
         "--pose-frame": ("input.pose_frame", pose_frame),
     }
-    options = chosen(MapOptions(topics=topics, robot=robot), shortcuts, setting)
+    least = ["input.fit_scene=false"] if (voxel_size, max_range) != (None, None) else []
+    options = chosen(MapOptions(topics=topics, robot=robot), shortcuts, setting, least)
     with (
         open_recording(bag, calibration or ()) as recording,
         results_in(out, overwrite),
@@ -137,17 +138,25 @@ def _sentences(run: MapRun) -> list[str]:
 def _remarks(run: MapRun, recording: Recording) -> list[str]:
     """What the user should know beside the figures."""
     remarks = list(recording.problems)
-    remarks += [f"{count} messages skipped: {text}" for text, count in recording.skipped.items()]
-    remarks += [f"{count} frames dropped: {text}" for text, count in run.dropped.items()]
-    remarks += [f"{count} poses refused: {text}" for text, count in run.refused.items()]
-    if run.points_beyond > run.points:
-        share, config = run.points_beyond / (run.points_beyond + run.points), run.map.config
-        reach = rounded_up(float(np.median(run.reaches)), _NEAR)
-        size = rounded_up(reach * _DEFAULTS.map.voxel_size / _DEFAULTS.map.max_range, _NEAR)
+    for what, counts in (
+        ("message skipped", recording.skipped),
+        ("frame dropped", run.dropped),
+        ("pose refused", run.refused),
+    ):
+        for text, count in counts.items():
+            noun, _, verb = what.partition(" ")
+            remarks.append(f"{count} {noun}{'s' * (count != 1)} {verb}: {text}")
+    if run.fitted:
+        config = run.map.config
         remarks.append(
-            f"{share:.0%} of the points are beyond {config.max_range:g} m and tell only what is "
-            f"free; try --max-range {reach:g} --voxel-size {max(size, config.voxel_size):g} "
-            "(ranges are measured to stereo.max_depth)"
+            f"most of the scene is beyond {_USUAL.max_range:g} m: it is mapped up to "
+            f"{config.max_range:g} m with voxels of {length(config.voxel_size)} "
+            "(--max-range, --voxel-size; --set input.fit_scene=false for the usual ones)"
+        )
+    elif run.points_beyond > run.points:
+        remarks.append(
+            f"most of the points are beyond {run.map.config.max_range:g} m and tell only what is "
+            "free: give a larger --max-range, or neither that nor --voxel-size"
         )
     if run.builder.assumed_poses:
         assumed = run.assumed

@@ -7,8 +7,8 @@ import typer
 
 from infomap_ros import __version__
 from infomap_ros.cli.progress_bar import says_when_it_compiles
-from infomap_ros.cli.results import check_free
-from infomap_ros.errors import InvalidInputError
+from infomap_ros.cli.results import check_free, results_in
+from infomap_ros.errors import InvalidInputError, RobotModelError
 from infomap_ros.geometry.atomic_file import write_text
 from infomap_ros.simulation.robots.drawing import draw_robot
 from infomap_ros.simulation.robots.robot_file import RobotFile
@@ -35,16 +35,23 @@ def robot(
     if out.suffix not in (".yaml", ".yml"):
         raise InvalidInputError("--out", f"{out} is no .yaml file")
     check_free(out, overwrite)
+    with results_in(out.parent, overwrite=True):
+        _write(urdf, out, camera)
+
+
+def _write(urdf: str, out: Path, camera: str) -> None:
     with says_when_it_compiles():
         reading = read_robot(urdf, camera)
     _say(reading)
-    out.parent.mkdir(parents=True, exist_ok=True)
     title = f"{reading.robot.name}, written by infomap robot {__version__}"
     text = reading.file.text(title)
     write_text(out, text)
     RobotFile.read(out)  # it says what was meant
     picture = out.with_suffix(".png")
     draw_robot(reading, picture)
+    if not reading.stands:
+        text = f"tips over where it stands (see {picture}): complete {out}, as robot.casters"
+        raise RobotModelError(f"robot '{reading.robot.name}' {text}")
     typer.echo(f"\nwrote {out} and {picture}; next: infomap explore --robot {out} --world office")
 
 

@@ -6,14 +6,45 @@ from typing import Annotated, Optional
 
 import numpy as np
 import typer
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import LogNorm
+from matplotlib.figure import Figure
 
 from infomap_ros.cli.command_options import Overwrite
 from infomap_ros.cli.results import check_free
 from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry import PinholeCamera, transform_from_quaternion
 from infomap_ros.mapping import VoxelMap
-from infomap_ros.mapping.files.depth_picture import draw_depth_image
 from infomap_ros.mapping.files.pictures import draw_map_views
+from infomap_ros.mapping.voxel_map import DepthImage
+
+_LEAST_SIGMA = 1e-4  # that has a color of its own [m]
+
+
+def draw_depth_image(image: DepthImage, path: Path) -> None:
+    """Draw depth and sigma side by side; white where nothing is seen.
+
+    Args:
+        image: see `VoxelMap.render_depth`.
+        path: PNG file to write.
+
+    Raises:
+        OSError: the file cannot be written.
+    """
+    figure = Figure(figsize=(14.0, 5.0), layout="constrained")
+    FigureCanvasAgg(figure)
+    left, right = figure.subplots(1, 2)
+    depth = left.imshow(image.depth, cmap="viridis_r", interpolation="nearest")
+    figure.colorbar(depth, ax=left, label="depth [m]", shrink=0.8)
+    sigma = np.maximum(image.sigma, _LEAST_SIGMA)
+    highest = float(np.nanmax(sigma)) if np.isfinite(sigma).any() else 1.0
+    scale = LogNorm(_LEAST_SIGMA, max(highest, 2.0 * _LEAST_SIGMA))
+    drawn = right.imshow(sigma, cmap="magma", norm=scale, interpolation="nearest")
+    figure.colorbar(drawn, ax=right, label="sigma of the depth [m]", shrink=0.8)
+    for axes in (left, right):
+        axes.set(xlabel="u [px]", ylabel="v [px]")
+    figure.savefig(path, dpi=110)
+
 
 _CAMERA = PinholeCamera(640, 480, 525.0, 525.0, 319.5, 239.5)
 _POSE_NUMBERS = 7

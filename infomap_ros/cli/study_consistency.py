@@ -1,13 +1,74 @@
 """Command ``infomap study map-consistency``."""
 
 import time
+from collections.abc import Sequence
+from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 import typer
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from scipy import stats
 
 from infomap_ros.cli.study_options import Out, finish, progress_bar, refusals
-from infomap_ros.studies.consistency_figure import draw_histograms
-from infomap_ros.studies.map_consistency import ConsistencyConfig, run_study, summary, table
+from infomap_ros.studies.map_consistency import (
+    CONFIDENCE,
+    ConsistencyConfig,
+    ConsistencyResult,
+    run_study,
+    summary,
+    table,
+)
+
+_LIMIT = 4.0  # of the drawn normalized errors
+_BINS = 48
+_COLUMNS = 4
+_ALL, _INDEPENDENT, _EXPECTED = "#9ecae1", "#08519c", "#d55e00"
+
+
+def draw_histograms(results: Sequence[ConsistencyResult], path: str | Path) -> None:
+    """Draw the normalized errors of each setting with the normal distribution they should have.
+
+    Args:
+        results: of `run_study`.
+        path: of the PNG file.
+    """
+    columns = min(len(results), _COLUMNS)
+    rows = -(-len(results) // columns)
+    figure = Figure(figsize=(4.0 * columns, 3.6 * rows), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots(rows, columns, sharey=True, squeeze=False).ravel()
+    for axis in axes[len(results) :]:
+        axis.set_axis_off()
+    x = np.linspace(-_LIMIT, _LIMIT, 200)
+    edges = np.linspace(-_LIMIT, _LIMIT, _BINS + 1)
+    coarse = edges[::4]
+    for axis, result in zip(axes, results, strict=False):
+        clipped = np.clip(result.all_errors, -_LIMIT, _LIMIT)
+        axis.hist(clipped, edges, density=True, color=_ALL, label="all voxels looked at")
+        independent = np.clip(result.independent, -_LIMIT, _LIMIT)
+        axis.hist(
+            independent, coarse, density=True, histtype="step", color=_INDEPENDENT, linewidth=1.4,
+            label="one voxel per scene",
+        )  # fmt: skip
+        axis.plot(x, stats.norm.pdf(x), color=_EXPECTED, linewidth=1.6, label="standard normal")
+        low, high = result.band
+        setting = result.setting
+        kind = " within the map" if setting.relative else ""
+        pixels = ", correlated pixels" if setting.correlation else ""
+        axis.set_title(
+            f"{setting.case}{kind}, {100 * setting.voxel_size:g} cm{pixels}\n"
+            f"mean NEES {result.mean_nees:.2f}, "
+            f"{100 * CONFIDENCE:.0f} % band {low:.2f} to {high:.2f}",
+            fontsize=10,
+        )
+        axis.set_xlabel("error along the normal / predicted sigma [-]")
+        axis.set_xlim(-_LIMIT, _LIMIT)
+    axes[0].set_ylabel("density [-]")
+    axes[0].set_ylim(0.0, 0.65)  # room for the legend
+    axes[0].legend(fontsize=8, loc="upper left")
+    figure.savefig(path, dpi=120)
 
 
 def map_consistency(

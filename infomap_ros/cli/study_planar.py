@@ -3,6 +3,7 @@
 import time
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import combinations
 from pathlib import Path
 from typing import Annotated, Optional
 
@@ -22,9 +23,13 @@ from infomap_ros.cli.study_options import (
     workers,
 )
 from infomap_ros.errors import InvalidInputError
-from infomap_ros.studies.common.tables import write_rows
+from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.studies.common.bands import Band, band, ratio_band
+from infomap_ros.studies.common.tables import markdown, write_rows
 from infomap_ros.studies.planar import report
+from infomap_ros.studies.planar.measures import distance_to
 from infomap_ros.studies.planar.planar_study import (
+    BASELINES,
     PlanarStudyConfig,
     TeamStudyConfig,
     complete,
@@ -32,8 +37,74 @@ from infomap_ros.studies.planar.planar_study import (
     tasks_of,
     team_tasks,
 )
-from infomap_ros.studies.planar.relations import relations
-from infomap_ros.studies.planar.tasks import label_of, run_tasks
+from infomap_ros.studies.planar.tasks import Record, label_of, run_tasks
+
+# How the baselines stand to each other: ways to growing shares of a world, paired by world.
+#
+# Their authors publish seconds of rotorcraft in buildings, which a sensor in a plane does not have;
+# what they say of each other can be compared.
+
+_SHARES = (0.25, 0.5, 0.75)  # of a world, before the last
+_LEAST_WORLDS = 3  # that a band is told for
+
+
+def relations(records: Sequence[Record], share: float) -> str:
+    """Ways of each baseline over those of each other one, as a Markdown table.
+
+    Args:
+        records: of worlds that all strategies have explored.
+        share: of a world to which ways are compared last.
+
+    Returns:
+        Geometric means over the worlds in which both came so far; "" where there are no baselines.
+    """
+    present = {record.task.label for record in records}
+    labels = [label for label in map(label_of, BASELINES) if label in present]
+    kinds = ("all", *dict.fromkeys(record.task.world.kind for record in records))
+    shares = (*_SHARES, share)
+    names = ["way of", "over that of", "worlds", *(f"to {100 * s:g} %" for s in shares)]
+    lines = [
+        [other, first, kind, *(_text(way_ratio(records, other, first, s, kind)) for s in shares)]
+        for first, other in combinations(labels, 2)
+        for kind in kinds
+    ]
+    note = "Geometric mean and band over the worlds, whose number follows, where both came so far."
+    return f"{markdown(names, lines)}\n{note}\n" if lines else ""
+
+
+def way_ratio(
+    records: Sequence[Record], own: str, other: str, share: float, kind: str = "all"
+) -> Band:
+    """Way of one strategy to a share of the world over that of another.
+
+    Args:
+        records: of both, in the same order of worlds.
+        own: label.
+        other: label.
+        share: of a world.
+        kind: of worlds, or "all".
+
+    Returns:
+        The geometric mean over the worlds in which both came so far, and not by the first view.
+    """
+    mine, theirs = (_ways(records, label, share, kind) for label in (own, other))
+    both = np.isfinite(mine) & np.isfinite(theirs) & (mine > 0.0) & (theirs > 0.0)
+    return ratio_band(mine[both], theirs[both]) if both.any() else band(np.empty(0))
+
+
+def _ways(records: Sequence[Record], label: str, share: float, kind: str) -> FloatArray:
+    results = [
+        record.result
+        for record in records
+        if record.task.label == label and kind in ("all", record.task.world.kind)
+    ]
+    return np.array([distance_to(r.distance, r.fraction, share) for r in results])
+
+
+def _text(found: Band) -> str:
+    text = found.text(1.0, 2) if found.count >= _LEAST_WORLDS else f"{found.mean:.2f}"
+    return f"{text} ({found.count})"
+
 
 FloorPlans = Annotated[
     Optional[Path], typer.Option(help="folder with ROS maps (.yaml) to explore besides")
@@ -42,7 +113,9 @@ FloorPlans = Annotated[
 
 def planar(
     out: Out,
-    worlds: Annotated[int, typer.Option(help="of each kind")] = PlanarStudyConfig.worlds,
+    worlds: Annotated[
+        int, typer.Option(help="drawn at random, besides that of Fig. 10", min=0)
+    ] = PlanarStudyConfig.worlds,
     seed: Annotated[int, typer.Option(help="of the first world")] = PlanarStudyConfig.seed,
     strategies: Strategies = "",
     scans: Annotated[int, typer.Option(help="of the figures")] = PlanarStudyConfig.scans,
@@ -78,7 +151,9 @@ def planar(
 
 def two(
     out: Out,
-    worlds: Annotated[int, typer.Option(help="of each kind")] = TeamStudyConfig.worlds,
+    worlds: Annotated[
+        int, typer.Option(help="drawn at random, besides that of Fig. 10", min=0)
+    ] = TeamStudyConfig.worlds,
     seed: Annotated[int, typer.Option(help="of the first world")] = TeamStudyConfig.seed,
     strategies: Strategies = "",
     sensors: Annotated[int, typer.Option(help="that explore together")] = TeamStudyConfig.sensors,

@@ -15,7 +15,7 @@ from infomap_ros.localization.prediction.error_prediction import (
     ErrorPredictionConfig,
 )
 from infomap_ros.localization.prediction.ways import Ways
-from infomap_ros.views.ranking.localization_error import OdometryDrift
+from infomap_ros.views.ranking.terms import OdometryDrift
 from infomap_ros.views.situation import Situation
 
 KnownFiducials = Callable[[], Fiducials | None]
@@ -23,7 +23,7 @@ KnownFiducials = Callable[[], Fiducials | None]
 
 
 class FiducialLocalizationError:
-    """Implements `infomap_ros.views.ranking.localization_error.LocalizationError`.
+    """Implements `infomap_ros.views.ranking.terms.LocalizationError`.
 
     The error of a view is how much the position sigma (root of the trace) grows on the way there
     [m]; negative where fiducials make the position better known than it is now. Where nothing

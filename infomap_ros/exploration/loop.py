@@ -1,35 +1,34 @@
 """The loop of Fig. 3 of Sujan and Dubowsky 2005: look, fuse, rate, choose, move.
 
-What ends the loop, what it does instead of the next view, and what breaks a motion off are rules
+What ends the loop and what it does instead of the next view are rules
 (`infomap_ros.exploration.rules`), listed in `Exploration.__init__` in the order in which they
-count.
+count; `MotionWatch` says what breaks a motion off.
 """
 
 from __future__ import annotations
 
+import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import asdict
 
+import numpy as np
+
 from infomap_ros.errors import InfomapError, TeammatesBusyError
-from infomap_ros.exploration.camera_mover import CameraMover
 from infomap_ros.exploration.control import Control, Request
-from infomap_ros.exploration.fallbacks import (
-    PlanOnly,
-    ReturnToLastView,
-    UserRequests,
-    WaitForTeammates,
-)
 from infomap_ros.exploration.mission import Mission
-from infomap_ros.exploration.progress import MapProgress
+from infomap_ros.exploration.planar import way_length
 from infomap_ros.exploration.records.run_log import RunLog
 from infomap_ros.exploration.robot import (
     Choice,
     FailedView,
     Interrupted,
     KnownPlace,
+    MapProgress,
+    Motion,
     Planner,
     Robot,
+    RobotState,
 )
 from infomap_ros.exploration.rules import (
     STOPPED,
@@ -37,17 +36,21 @@ from infomap_ros.exploration.rules import (
     Ending,
     EndReason,
     Fallback,
-    MotionMonitor,
     NoViewLeft,
+    PlanOnly,
+    ReturnToLastView,
     StopRequested,
     StopRule,
     TaskIsMet,
     TooManyFailures,
     UnproductiveViews,
+    UserRequests,
+    WaitForTeammates,
 )
 from infomap_ros.exploration.task import TaskConfig
-from infomap_ros.motion.base.pose_margin import base_sigma
-from infomap_ros.motion.route import Route
+from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.motion.route import ArmPath, Route
+from infomap_ros.motion.whole_body import base_sigma
 
 __all__ = ["EndReason", "Ending", "Exploration"]
 
@@ -106,15 +109,12 @@ class Exploration:
             self._budget,
             PlanOnly() if plan_only else self._unproductive,
         ]
-        self._route_monitor = RouteMonitor(robot, planner)
-        self._drift_monitor = DriftMonitor(robot, task.max_drift)
-        self._monitors = [self._drift_monitor, self._route_monitor]
 
     def change_task(self, task: TaskConfig) -> None:
         """Go on by another task, also from another thread: the next step counts by it."""
         self.task = self._mover.task = task
         self._is_met.task = self._budget.task = self._unproductive.task = task
-        self._failures.most, self._drift_monitor.max_drift = task.max_failures, task.max_drift
+        self._failures.most = task.max_failures
 
     def run(self) -> Ending:
         """Explore to the end; says why it ended.
@@ -205,7 +205,7 @@ class Exploration:
         target = choice.target
         if choice.pose is None or choice.route is None or target is None:
             raise TypeError("there is no view to move to")
-        watch = MotionWatch(self._monitors, self.control.interrupted)
+        watch = self._watch(self.control.interrupted, self.task.max_drift)
         problem = self._mover.bring_camera(choice.route, target, watch)
         if problem and not self.control.interrupted():
             if watch.reason:
@@ -234,11 +234,15 @@ class Exploration:
         choice = self._planner.way_to(self._robot.state(), place)
         problem, route = choice.reason, choice.route
         if route is not None:
-            watch = MotionWatch([self._route_monitor], interrupted)
+            watch = self._watch(interrupted)
             problem = self._mover.bring_camera(route, route.T_map_camera, watch)
             problem = f"{problem}: {watch.reason}" if problem and watch.reason else problem
         self._log.write("motion", action=place.name, outcome=problem, path=[])
         return problem
+
+    def _watch(self, interrupted: Interrupted, max_drift: float | None = None) -> MotionWatch:
+        """Watches the motion that begins now."""
+        return MotionWatch(self._robot, self._planner, interrupted, max_drift)
 
     def _fail(self, reason: str) -> None:
         """Count a failure."""
@@ -254,75 +258,164 @@ class Exploration:
 
 
 class MotionWatch:
-    """All monitors of one motion: called as one asks whether the motion is interrupted.
+    """What breaks one motion off: called as one asks whether the motion is interrupted.
 
-    Args:
-        monitors: asked one after the other.
-        interrupted: by the user.
-
-    Attributes:
-        reason: of the monitor that has broken the motion off; empty where none has.
-        rejects_view: whether that monitor rejects the view.
-    """
-
-    def __init__(self, monitors: Sequence[MotionMonitor], interrupted: Interrupted) -> None:
-        self._monitors, self._interrupted = monitors, interrupted
-        self.reason, self.rejects_view = "", False
-        for monitor in monitors:
-            monitor.begin()
-
-    def __call__(self) -> bool:
-        """Whether the motion is to be broken off."""
-        for monitor in self._monitors:
-            if self.reason:
-                break
-            self.reason, self.rejects_view = monitor.problem(), monitor.rejects_view
-        return bool(self.reason) or self._interrupted()
-
-
-class DriftMonitor(MotionMonitor):
-    """Where the robot is becomes known much less well than when the motion began.
-
-    Args:
-        robot: that moves.
-        max_drift: that the standard deviation of its position may grow [m].
-    """
-
-    rejects_view = False
-
-    def __init__(self, robot: Robot, max_drift: float) -> None:
-        self._robot, self.max_drift, self._most = robot, max_drift, 0.0
-
-    def begin(self) -> None:
-        """Take how well the robot's place is known now."""
-        self._most = self._sigma() + self.max_drift
-
-    def problem(self) -> str:
-        """Whether it is known much less well."""
-        drifted = self._sigma() > self._most
-        return "where the robot is has become too uncertain" if drifted else ""
-
-    def _sigma(self) -> float:
-        state = self._robot.state()
-        return base_sigma(state.T_map_camera, state.pose_covariance, state.T_map_base, 0.0)
-
-
-class RouteMonitor(MotionMonitor):
-    """What is left of the route is not free any more in the map as it is now.
+    That is the user; a route that is not free any more in the map as it is now; and a robot whose
+    place is known much less well than when the motion began.
 
     Args:
         robot: that moves.
         planner: knows the map, and the route that it planned last.
+        interrupted: by the user.
+        max_drift: that the standard deviation of its position may grow [m]; None for any.
+
+    Attributes:
+        reason: why the motion is broken off, but for the user; empty where it is not.
+        rejects_view: whether that speaks against the view.
     """
 
-    rejects_view = True
+    def __init__(
+        self, robot: Robot, planner: Planner, interrupted: Interrupted, max_drift: float | None
+    ) -> None:
+        self._robot, self._planner, self._interrupted = robot, planner, interrupted
+        self._most = np.inf if max_drift is None else _base_sigma(robot.state()) + max_drift
+        self.reason, self.rejects_view = "", False
 
-    def __init__(self, robot: Robot, planner: Planner) -> None:
-        self._robot, self._planner = robot, planner
+    def __call__(self) -> bool:
+        """Whether the motion is to be broken off."""
+        if not self.reason and _base_sigma(self._robot.state()) > self._most:
+            self.reason = "where the robot is has become too uncertain"
+        if not self.reason:
+            self.reason = self._planner.route_problem(self._robot.state())
+            self.rejects_view = bool(self.reason)
+        return bool(self.reason) or self._interrupted()
 
-    def begin(self) -> None:
-        """The planner has begun with its plan."""
 
-    def problem(self) -> str:
-        """Where the route is blocked, and by what."""
-        return self._planner.route_problem(self._robot.state())
+def _base_sigma(state: RobotState) -> float:
+    """How well it is known where the base is [m]."""
+    return base_sigma(state.T_map_camera, state.pose_covariance, state.T_map_base, 0.0)
+
+
+_MOTIONS = 4  # planned again to one view: arm, and where need be base, arm, and arm once more
+
+
+class CameraMover:
+    """Has the robot carry out routes.
+
+    Args:
+        robot: that moves.
+        planner: plans the rest of the way from where the base has come to stand.
+        task: how near the camera must come to a view.
+        mission: whose distance grows.
+        log: receives every motion.
+        on_motion: called after each motion.
+
+    Attributes:
+        miss: why the camera has come only near to the last view, and how near; empty where it has
+            arrived.
+    """
+
+    miss = ""
+
+    def __init__(
+        self,
+        robot: Robot,
+        planner: Planner,
+        task: TaskConfig,
+        mission: Mission,
+        log: RunLog,
+        on_motion: Callable[[], None],
+    ) -> None:
+        self._robot, self._planner, self.task = robot, planner, task
+        self._mission, self._log, self._on_motion = mission, log, on_motion
+
+    def follow(self, route: Route, interrupted: Interrupted) -> str:
+        """Move arm, base and arm as planned; returns empty, or why it did not come to the end."""
+        problem = self._approach(route, interrupted)
+        return problem or self._move_arm(route.arm_after, interrupted)
+
+    def bring_camera(self, route: Route, view: FloatArray, interrupted: Interrupted) -> str:
+        """Follow a route until the camera is within the task's tolerances of a view.
+
+        The base may stop beside the end of its path: the rest of the way is planned, and checked
+        for collisions, from where it really stands. Where the camera cannot be brought within the
+        tolerances, `miss` and the log say why and how far off it is, and it stays as near as it
+        came.
+
+        Args:
+            route: that was planned to the view.
+            view: ``T_map_camera``, shape (4, 4).
+            interrupted: whether to break off.
+
+        Returns:
+            Empty, or why a motion did not come to its end.
+        """
+        self.miss, is_unfolded = "", not route.moves_base
+        problem = self._carry_out(route, interrupted)
+        if route.partial and not route.arm_after.moves:  # the arm stays folded
+            return problem
+        reason = f"after {_MOTIONS} motions"
+        for _ in range(_MOTIONS):
+            if problem or interrupted():
+                return problem
+            if is_unfolded and self._has_arrived(view):
+                return ""
+            plan = self._planner.plan_arm(self._robot.state(), view)
+            reason = plan.reason or reason
+            if plan.route is not None:
+                problem = self._carry_out(plan.route, interrupted)
+                is_unfolded = not plan.route.moves_base
+            if plan.reason:
+                break
+        if not problem and not self._has_arrived(view):
+            self._note_miss(view, reason)
+        return problem
+
+    def _carry_out(self, route: Route, interrupted: Interrupted) -> str:
+        """Drive, or move the arm alone: after a drive its motion is planned again."""
+        problem = self._approach(route, interrupted)
+        if problem or route.moves_base:
+            return problem
+        return self._move_arm(route.arm_after, interrupted)
+
+    def _approach(self, route: Route, interrupted: Interrupted) -> str:
+        """Fold the arm and drive; returns empty, or why that did not come to its end."""
+        problem = self._move_arm(route.arm_before, interrupted)
+        if problem or not route.moves_base:
+            return problem
+        motion = self._robot.drive(route.base_path, interrupted)
+        self._mission.distance += way_length(motion.path)
+        return self._note("drive", motion)
+
+    def _move_arm(self, path: ArmPath, interrupted: Interrupted) -> str:
+        return self._note("arm", self._robot.move_arm(path, interrupted)) if path.moves else ""
+
+    def _note(self, action: str, motion: Motion) -> str:
+        self._log.write("motion", action=action, outcome=motion.outcome, path=motion.path)
+        self._on_motion()
+        return f"{action}: {motion.outcome}" if motion.outcome else ""
+
+    def _has_arrived(self, view: FloatArray) -> bool:
+        away, turned = camera_error(self._robot.state().T_map_camera, view)
+        task = self.task
+        return away <= task.view_position_tolerance and turned <= task.view_angle_tolerance
+
+    def _note_miss(self, view: FloatArray, reason: str) -> None:
+        away, turned = camera_error(self._robot.state().T_map_camera, view)
+        self.miss = f"the camera is {away:.3f} m and {turned:.3f} rad off the view: {reason}"
+        self._log.write("message", text=self.miss, level="info")
+
+
+def camera_error(T_map_camera: FloatArray, view: FloatArray) -> tuple[float, float]:
+    """How far a camera is from a view, and the angle between their optical axes.
+
+    Args:
+        T_map_camera: pose of the optical frame, shape (4, 4).
+        view: likewise.
+
+    Returns:
+        Distance [m] and angle [rad]; the roll about the optical axis does not count.
+    """
+    away = float(np.linalg.norm(T_map_camera[:3, 3] - view[:3, 3]))
+    across = float(np.linalg.norm(np.cross(T_map_camera[:3, 2], view[:3, 2])))
+    return away, math.atan2(across, float(T_map_camera[:3, 2] @ view[:3, 2]))

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
 from infomap_ros.errors import InvalidInputError
+from infomap_ros.exploration.robot import MapProgress
 from infomap_ros.geometry import float_array
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import FREE, OCCUPIED, UNKNOWN, OccupancyThresholds, VoxelMap, VoxelWindow
@@ -22,35 +22,6 @@ _WALL_SHARE = 0.6  # or such a share of the region's height where that is less
 _GAP = 0.2  # [m] width of gaps in walls that count as closed
 _VOICES = 4  # surface voxels that must agree on where a surface goes on
 _Mask = NDArray[np.bool_]
-
-
-@dataclass(frozen=True)
-class MapProgress:
-    """The state of the map within the region of the task.
-
-    Attributes:
-        known_fraction: share of the reachable surface that is known, 0 to 1, as
-            `measure_progress` defines it.
-        entropy_bits: what is not known, summed over all voxels of the region [bits].
-        mean_sigma: mean standard deviation of the surface along its normal [m]; NaN without one.
-        surface_voxels: surface voxels in the region.
-        known_voxels: voxels of the whole map that were ever observed.
-        precise_fraction: share of the reachable surface that is known precisely enough, 0 to 1.
-        interest_fraction: the same of the place of interest where it is least; 1 without one.
-    """
-
-    known_fraction: float
-    entropy_bits: float
-    mean_sigma: float
-    surface_voxels: int
-    known_voxels: int
-    precise_fraction: float
-    interest_fraction: float = 1.0
-
-    @property
-    def min_fraction(self) -> float:
-        """What of the region is known precisely enough, and of each place of interest, 0 to 1."""
-        return min(self.precise_fraction, self.interest_fraction)
 
 
 def measure_progress(

@@ -6,12 +6,40 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
-from infomap_ros.exploration.progress import MapProgress
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.motion.route import ArmPath, Route
 
 Interrupted = Callable[[], bool]
 """Whether what is going on is to be broken off."""
+
+
+@dataclass(frozen=True)
+class MapProgress:
+    """The state of the map within the region of the task.
+
+    Attributes:
+        known_fraction: share of the reachable surface that is known, 0 to 1, as
+            `exploration.progress.measure_progress` defines it.
+        entropy_bits: what is not known, summed over all voxels of the region [bits].
+        mean_sigma: mean standard deviation of the surface along its normal [m]; NaN without one.
+        surface_voxels: surface voxels in the region.
+        known_voxels: voxels of the whole map that were ever observed.
+        precise_fraction: share of the reachable surface that is known precisely enough, 0 to 1.
+        interest_fraction: the same of the place of interest where it is least; 1 without one.
+    """
+
+    known_fraction: float
+    entropy_bits: float
+    mean_sigma: float
+    surface_voxels: int
+    known_voxels: int
+    precise_fraction: float
+    interest_fraction: float = 1.0
+
+    @property
+    def min_fraction(self) -> float:
+        """What of the region is known precisely enough, and of each place of interest, 0 to 1."""
+        return min(self.precise_fraction, self.interest_fraction)
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,10 +1,9 @@
-"""The rules of an exploration: small objects of three kinds.
+"""The rules of an exploration: small objects of two kinds.
 
 - a `StopRule` says that the exploration ends, and why;
-- a `Fallback` does something else instead of the next view;
-- a `MotionMonitor` says, while a motion goes on, why it is to be broken off.
+- a `Fallback` does something else instead of the next view.
 
-Stop rules and fallbacks are asked in one order, before a view is chosen and after: the first that
+They are asked in one order, before a view is chosen and after: the first that
 applies counts (`infomap_ros.exploration.loop`).
 """
 
@@ -19,8 +18,7 @@ import numpy as np
 
 from infomap_ros.exploration.control import Control, Request
 from infomap_ros.exploration.mission import Mission
-from infomap_ros.exploration.progress import MapProgress
-from infomap_ros.exploration.robot import Choice, Interrupted, KnownPlace
+from infomap_ros.exploration.robot import Choice, Interrupted, KnownPlace, MapProgress, RobotState
 from infomap_ros.exploration.task import TaskConfig
 from infomap_ros.geometry.transforms import FloatArray
 
@@ -99,25 +97,6 @@ class Fallback(ABC):
     @abstractmethod
     def act(self, actions: Actions) -> None:
         """Do it."""
-
-
-class MotionMonitor(ABC):
-    """Watches the motion to one view.
-
-    Attributes:
-        rejects_view: whether the planner is told that the view failed, where this monitor has
-            broken the motion off.
-    """
-
-    rejects_view: bool
-
-    @abstractmethod
-    def begin(self) -> None:
-        """The motion to a new view begins."""
-
-    @abstractmethod
-    def problem(self) -> str:
-        """Why the motion is to be broken off now; empty where it may go on."""
 
 
 class TaskIsMet(StopRule):
@@ -268,3 +247,116 @@ def _in_words(progress: MapProgress) -> str:
         f"{100.0 * progress.precise_fraction:.1f} % precisely enough, {interest}"
         f"mean sigma {1e3 * progress.mean_sigma:.1f} mm"
     )
+
+
+PAUSE = 1.0
+"""While others move [s]."""
+
+
+class UserRequests(Fallback):
+    """Pauses, or goes home, until the user asks to go on or to stop.
+
+    Args:
+        control: what they ask for.
+    """
+
+    def __init__(self, control: Control) -> None:
+        self._control = control
+
+    def applies(self, choice: Choice | None) -> bool:
+        """Where anything but going on is asked for."""
+        return self._control.interrupted()
+
+    def act(self, actions: Actions) -> None:
+        """Carry out what is asked for."""
+        control, reason = self._control, None
+        while control.request in (Request.PAUSE, Request.HOME):
+            if control.request is Request.HOME:
+                reason = self._go_home(actions)
+                control.answered(Request.HOME, Request.PAUSE)
+            else:
+                actions.say("paused", reason)
+                reason = None
+                control.wait_while_paused()
+
+    def _go_home(self, actions: Actions) -> str:
+        """Go to where the mission began; where that fails, stay; returns what came of it."""
+        actions.say("going home")
+        control = self._control
+        problem = actions.go_to(actions.mission.home, lambda: control.request is not Request.HOME)
+        return f"home: {problem}" if problem else "at home"
+
+
+class ReturnToLastView(Fallback):
+    """After a look that failed, goes back to where the last one did not, and looks there.
+
+    From there known things are in view, by which a lost camera finds its place. One failed look
+    sends the robot back once: where the look there fails too it goes on.
+
+    Args:
+        mission: keeps the place, so that a restarted robot knows it, too.
+
+    Attributes:
+        is_due: whether the last look failed, and the robot has not just been back.
+    """
+
+    def __init__(self, mission: Mission) -> None:
+        self._mission = mission
+        self.is_due = self._is_taken = False
+
+    def looked(self, state: RobotState) -> None:
+        """A look succeeded from a state."""
+        self._mission.note_success(state)
+        self.is_due = self._is_taken = False
+
+    def failed(self) -> None:
+        """A look failed: it is time to go back, unless that was just done."""
+        self.is_due = self._mission.last_look.is_known and not self._is_taken
+        self._is_taken = False
+
+    def applies(self, choice: Choice | None) -> bool:
+        """After a look that failed."""
+        return self.is_due
+
+    def act(self, actions: Actions) -> None:
+        """Go back and look."""
+        actions.say("going back to the last look")
+        self.is_due, self._is_taken = False, True
+        interrupted = actions.control.interrupted
+        problem = actions.go_to(self._mission.last_look, interrupted)
+        if not problem and not interrupted():
+            actions.look()
+
+
+class WaitForTeammates(Fallback):
+    """They are at all that is left, or in the way: asks again after a while.
+
+    Attributes:
+        reason: why the last choice has to wait; empty where there was one.
+    """
+
+    reason = ""
+
+    def applies(self, choice: Choice | None) -> bool:
+        """Where the last choice has to wait."""
+        return bool(self.reason)
+
+    def act(self, actions: Actions) -> None:
+        """Let a moment pass."""
+        actions.say("waiting for teammates", self.reason)
+        self.reason = ""
+        actions.control.wait(PAUSE)
+
+
+class PlanOnly(Fallback):
+    """Others move the robot: looks again after a while instead of moving it."""
+
+    def applies(self, choice: Choice | None) -> bool:
+        """Where a view was chosen."""
+        return choice is not None
+
+    def act(self, actions: Actions) -> None:
+        """Let a moment pass, and look."""
+        actions.say("waiting: plan only")
+        actions.control.wait(PAUSE)
+        actions.look()

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from infomap_ros.errors import ConfigError
-from infomap_ros.exploration.progress import MapProgress
+from infomap_ros.exploration.robot import MapProgress
 from infomap_ros.geometry import Box, PlacedSolid, Polygon, make_transform
 from infomap_ros.geometry.config import check_config, parameter, setting
 from infomap_ros.geometry.transforms import FloatArray
@@ -86,15 +86,15 @@ class TaskConfig:
         low=1,
         high=1000,
     )
-    unproductive_views: int = setting(
+    unproductive_views: int = parameter(
         6,
         "The exploration ends where so many views, one after the other, together bring less for "
         "their time than `min_rate`.",
         low=1,
         high=1000,
     )
-    min_rate: float = setting(
-        0.03,
+    min_rate: float = parameter(
+        0.02,
         "Least rate at which views make the map more certain, or known precisely enough, as a "
         "share of the best rate that so many views one after the other have had.",
         low=0.0,

@@ -13,18 +13,14 @@ from infomap_ros.geometry import PinholeCamera, PlacedSolid
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.mapping.files.projection import ProjectedGrid
-from infomap_ros.mapping.terrain.terrain import terrain_of
-from infomap_ros.motion import RobotModel
-from infomap_ros.motion.base.pose_margin import base_sigma
-from infomap_ros.motion.base.standing_ground import with_standing_ground
-from infomap_ros.motion.collision.clear_start import ClearStart
-from infomap_ros.motion.collision.obstacles import Obstacle
-from infomap_ros.motion.keep_out import KeepOut, with_keep_out
+from infomap_ros.motion.base.standing_ground import ClearStart, known_ground
+from infomap_ros.motion.keep_out import KeepOut, Obstacle, with_keep_out
 from infomap_ros.motion.reaching import WholeBodyReach
+from infomap_ros.motion.robot.robot_model import RobotModel
 from infomap_ros.motion.route import ReachResult, Route
 from infomap_ros.motion.route_check import RouteCheck
 from infomap_ros.motion.traversability import traversability
-from infomap_ros.motion.whole_body import WholeBody
+from infomap_ros.motion.whole_body import WholeBody, base_sigma
 from infomap_ros.views.situation import MotionTimes
 
 _POSTURES = 500  # of which the time of a usual motion of the arm is the mean
@@ -46,7 +42,8 @@ class ViewMotion:
     Attributes:
         config: as given; may be replaced.
         task: likewise.
-        keep_out: where the base must not go besides what the task says; may be replaced.
+        keep_out: regions and fences besides those of the task, where the base must not go; may be
+            replaced, and then the route that is carried out is judged by them.
     """
 
     def __init__(
@@ -72,7 +69,10 @@ class ViewMotion:
 
     @property
     def stands_wrongly(self) -> str:
-        """Where the base stood at the last choice although it must not, or empty."""
+        """Where the base stood at the last choice although it must not, or empty.
+
+        For the end of a sentence: "in or next to keep-out region 'x'". The next drive leads out.
+        """
         return "" if self._last_reach is None else self._last_reach.stands_wrongly
 
     @property
@@ -121,11 +121,10 @@ class ViewMotion:
         """Where the base can stand, the arm in its posture for driving."""
         reaching = self.config.reaching
         vehicle = self.whole(state).vehicle
-        terrain = terrain_of(voxel_map, reaching.terrain, state.T_map_base[:3, 3])
-        if self._start is not None:
-            terrain = self._start.ground(terrain, vehicle)
         reach = reaching.base.standing_reach
-        terrain = with_standing_ground(terrain, vehicle, state.T_map_base, reach)
+        terrain = known_ground(
+            voxel_map, reaching.terrain, vehicle, state.T_map_base, self._start, reach
+        )
         return traversability(with_keep_out(terrain, self._forbidden), vehicle)
 
     def send(self, voxel_map: VoxelMap, state: RobotState, route: Route | None) -> None:

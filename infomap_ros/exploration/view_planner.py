@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 
 from infomap_ros.exploration.mission import Mission, look_poses
-from infomap_ros.exploration.progress import MapProgress, measure_progress
-from infomap_ros.exploration.records.explanation import explain
-from infomap_ros.exploration.robot import Choice, FailedView, KnownPlace, RobotState
+from infomap_ros.exploration.planar import planar_pose
+from infomap_ros.exploration.progress import measure_progress
+from infomap_ros.exploration.records.surface_growth import SurfaceGrowth
+from infomap_ros.exploration.robot import Choice, FailedView, KnownPlace, MapProgress, RobotState
 from infomap_ros.exploration.task import TaskConfig
 from infomap_ros.exploration.view_choice import ViewChoice
 from infomap_ros.exploration.view_motion import ViewMotion
@@ -19,22 +20,22 @@ from infomap_ros.exploration.view_planner_config import ViewPlannerConfig
 from infomap_ros.geometry import PlacedSolid, StereoRig
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap
-from infomap_ros.mapping.files.projection import ProjectedGrid
-from infomap_ros.motion import RobotModel
-from infomap_ros.motion.arm.camera_heights import camera_heights
-from infomap_ros.motion.collision.obstacles import Obstacle
-from infomap_ros.motion.keep_out import KeepOut
+from infomap_ros.motion.keep_out import Obstacle
 from infomap_ros.motion.reaching import WholeBodyReach
-from infomap_ros.motion.robot.solid_extent import solid_extent
+from infomap_ros.motion.robot.robot_model import RobotModel
+from infomap_ros.motion.robot.solid_extent import (
+    camera_elevations,
+    camera_heights,
+    solid_extent,
+)
 from infomap_ros.motion.route import ReachResult, Route
-from infomap_ros.views.decision import ViewDecision
-from infomap_ros.views.gain_prior import GainPrior
+from infomap_ros.views.decision import RatedView, ViewDecision
 from infomap_ros.views.goal_memory import GoalMemory
 from infomap_ros.views.information.information_config import InformationConfig
 from infomap_ros.views.information.view_information import ExpectedInformation
-from infomap_ros.views.ranking.localization_error import LocalizationError
+from infomap_ros.views.ranking.terms import LocalizationError
 from infomap_ros.views.situation import Interest, RegionOfTask, Situation, Teammate
-from infomap_ros.views.unproductive_looks import UnproductiveLooks
+from infomap_ros.views.unproductive_looks import GainPrior, UnproductiveLooks
 
 __all__ = ["Surrounding", "ViewPlanner", "ViewPlannerConfig"]
 
@@ -79,6 +80,9 @@ class ViewPlanner:
         task: what is to be mapped.
         config: of choice and motion.
         localization_error: model of LE of eq. (11); odometry drift where not given.
+
+    Attributes:
+        motion: what moves the robot, and checks the route that it is sent along.
     """
 
     def __init__(
@@ -91,10 +95,11 @@ class ViewPlanner:
     ) -> None:
         self.robot, self._rig, self._error = robot, rig, localization_error
         settings = config or ViewPlannerConfig()
-        self._motion = ViewMotion(robot, settings, task, rig.left)
-        self._rng, self._heights = np.random.default_rng(settings.seed), camera_heights(robot)
-        self._unproductive, self._kept = UnproductiveLooks(settings.unproductive), GainPrior()
-        self._memory = GoalMemory()
+        self.motion = ViewMotion(robot, settings, task, rig.left)
+        self._rng = np.random.default_rng(settings.seed)
+        self._heights, self._elevations = camera_heights(robot), camera_elevations(robot)
+        self._unproductive, self._kept = UnproductiveLooks(), GainPrior()
+        self._memory, self._growth = GoalMemory(), SurfaceGrowth()
         self._fine: tuple[Interest, ...] = ()
         self._configure(task, settings)
         self._goal: FloatArray | None = None
@@ -110,22 +115,7 @@ class ViewPlanner:
         What past views have told, and which could not be reached, stays known.
         """
         self._configure(task, config)
-        self._motion.config, self._motion.task = config, task
-
-    def forbid(self, rules: KeepOut) -> None:
-        """Keep the base out of these regions and within these fences, besides those of the task.
-
-        The route that is carried out is judged by them at the next `route_problem`.
-        """
-        self._motion.keep_out = rules
-
-    @property
-    def stands_wrongly(self) -> str:
-        """Where the base stood at the last plan although it must not, or empty.
-
-        For the end of a sentence: "in or next to keep-out region 'x'". The next drive leads out.
-        """
-        return self._motion.stands_wrongly
+        self.motion.config, self.motion.task = config, task
 
     def _configure(self, task: TaskConfig, config: ViewPlannerConfig) -> None:
         self.config, self._task = config, task
@@ -154,10 +144,12 @@ class ViewPlanner:
         progress = self._progress(voxel_map, state)
         decision = self._select(voxel_map, state, around, progress)
         route = decision.reach.route if isinstance(decision.reach, ReachResult) else None
-        self._motion.send(voxel_map, state, route)
+        self.motion.send(voxel_map, state, route)
         partial = route is not None and route.partial
         self._goal = decision.chosen.pose if decision.chosen is not None and partial else None
-        return _choice_of(decision, route, progress, state, self.stands_wrongly)
+        choice = _choice_of(decision, route, progress, state, self.motion.stands_wrongly)
+        surface = {"surface": self._growth.text(voxel_map)}
+        return replace(choice, explanation={**choice.explanation, **surface})
 
     def _with_places_of_task(self, around: Surrounding) -> Surrounding:
         """Add the task's places of interest; those that matter more are mapped more precisely."""
@@ -176,7 +168,7 @@ class ViewPlanner:
         Where a doubtful pose asks for so much room that no view is left, for as much as a sure one.
         Where no good view is left, space that keeps the base from going on counts more.
         """
-        robot = self._motion.reach(voxel_map, state, around.obstacles)
+        robot = self.motion.reach(voxel_map, state, around.obstacles)
         situation = self._situation(voxel_map, state, robot, around)
         situation = self._without_unproductive_looks(situation, progress.entropy_bits)
         ask: dict[str, Any] = {
@@ -187,7 +179,7 @@ class ViewPlanner:
             decision = self._choice.select(situation, robot, self._rng, lasting=False, **ask)
             if decision.chosen is not None:
                 return decision
-            robot = self._motion.reach(voxel_map, state, around.obstacles, widen=False)
+            robot = self.motion.reach(voxel_map, state, around.obstacles, widen=False)
         decision = self._choice.select(situation, robot, self._rng, **ask)
         if decision.chosen is not None and decision.chosen.rating > _POOR:
             return decision
@@ -222,7 +214,7 @@ class ViewPlanner:
         obstacles: Sequence[Obstacle] = (),
     ) -> Choice:
         """The way to where the robot has stood, or why there is none."""
-        result = self._motion.way_to(voxel_map, state, place, obstacles)
+        result = self.motion.way_to(voxel_map, state, place, obstacles)
         pose = None if result.route is None else result.route.T_map_camera
         return Choice(self._progress(voxel_map, state), pose, result.route, result.reason)
 
@@ -234,18 +226,10 @@ class ViewPlanner:
         obstacles: Sequence[Obstacle] = (),
     ) -> Choice:
         """The rest of the way to a view, or as near as can be, from where the base stands."""
-        result = self._motion.plan_arm(voxel_map, state, T_map_camera, obstacles)
+        result = self.motion.plan_arm(voxel_map, state, T_map_camera, obstacles)
         pose = None if result.route is None else result.route.T_map_camera
         progress = self._measured or self._progress(voxel_map, state)
         return Choice(progress, pose, result.route, result.reason)
-
-    def traversability(self, voxel_map: VoxelMap, state: RobotState) -> ProjectedGrid:
-        """Where the base can stand; see `infomap_ros.motion.traversability`."""
-        return self._motion.traversability(voxel_map, state)
-
-    def route_problem(self, voxel_map: VoxelMap, state: RobotState) -> str:
-        """Why what is left of the route planned last is blocked; empty where it is free."""
-        return self._motion.route_problem(voxel_map, state)
 
     def failed(self, view: FailedView) -> None:
         """Note that a view failed; it is not chosen until the map changes there.
@@ -262,7 +246,7 @@ class ViewPlanner:
 
     def withdraw(self) -> None:
         """Note that what was chosen last is not carried out."""
-        self._motion.withdraw()
+        self.motion.withdraw()
         self._goal = None
 
     def share_left(
@@ -289,7 +273,7 @@ class ViewPlanner:
             self._past.extend(around.past_views[gaps > _SAME])
         if all(view.reached for view in self._failures) or not self._past:
             self._past.append(state.T_map_camera)
-        self._motion.begin(state.T_map_base if around.T_map_start is None else around.T_map_start)
+        self.motion.begin(state.T_map_base if around.T_map_start is None else around.T_map_start)
         for view in self._failures:
             self._memory.remember(view.pose, view.reason, voxel_map)
         wanted = [view.pose for view in self._failures if view.reached]
@@ -321,11 +305,12 @@ class ViewPlanner:
             around.teammates,
             past_views=np.array(self._past),
             free_body=self._body(state),
-            clear_space=self._motion.clear_space,
+            clear_space=self.motion.clear_space,
             arm_views=self._arm_views(state),
             heights=self._heights,
+            elevations=self._elevations,
             ground_height=reach.terrain.height_at,
-            times=self._motion.times(state),
+            times=self.motion.times(state),
         )
 
     def _body(self, state: RobotState) -> list[PlacedSolid]:
@@ -337,7 +322,7 @@ class ViewPlanner:
 
     def _arm_views(self, state: RobotState) -> FloatArray:
         """Camera poses of random postures of the arm, shape (A, 4, 4)."""
-        postures = self._motion.whole(state).postures.q
+        postures = self.motion.whole(state).postures.q
         count = min(self.config.arm_views, len(postures))
         chosen = self._rng.choice(len(postures), count, replace=False)
         return np.asarray(state.T_map_base @ self.robot.arm.camera_pose(postures[chosen]))
@@ -361,8 +346,49 @@ def _choice_of(
         raise TypeError("a view was chosen without a route")
     pose = None if chosen is None else chosen.pose
     reason = decision.reason
-    if route is not None and route.planned_by:
-        reason += f"; base path by {route.planned_by}"
     if route is not None and route.moves_base and stands_wrongly:
         reason += f"; it first drives out, as the base stands {stands_wrongly}"
     return Choice(progress, pose, route, reason, explain(replace(decision, reason=reason), state))
+
+
+_LISTED = 300
+
+
+def explain(decision: ViewDecision, state: RobotState) -> dict[str, Any]:
+    """A decision as the run log has it; the best candidates and some of each kind rejected."""
+    chosen = decision.chosen
+    return {
+        "pose": None if chosen is None else chosen.pose.ravel(),
+        "base": planar_pose(state.T_map_base),
+        "position_sigma": float(np.sqrt(np.trace(state.pose_covariance[:3, :3]))),
+        "strategy": decision.strategy,
+        "rating": None if chosen is None else chosen.rating,
+        "terms": {} if chosen is None else chosen.terms,
+        "reason": decision.reason,
+        "considered": len(decision.candidates),
+        "seconds": decision.seconds,
+        "rejections": dict(decision.rejections()),
+        "candidates": [_listed(view) for view in _worth_listing(decision.candidates)],
+    }
+
+
+def _worth_listing(views: Sequence[RatedView]) -> list[RatedView]:
+    """The best rated views; of the others every so many."""
+    rated = sorted(
+        (view for view in views if np.isfinite(view.rating)), key=lambda view: -view.rating
+    )
+    rest = [view for view in views if not np.isfinite(view.rating)]
+    best = rated[: _LISTED // 2]
+    others = [*rated[_LISTED // 2 :], *rest]
+    step = max(1, -(-len(others) // (_LISTED // 2)))
+    return [*best, *others[::step]]
+
+
+def _listed(view: RatedView) -> dict[str, Any]:
+    return {
+        "position": view.pose[:3, 3],
+        "direction": view.pose[:3, 2],
+        "rating": view.rating,
+        "terms": view.terms,
+        "rejection": view.rejection,
+    }

@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from infomap_ros.geometry.config import check_config, parameter, setting
-from infomap_ros.motion.reaching_config import ReachingConfig
+from infomap_ros.motion.whole_body import ReachingConfig
 from infomap_ros.views.next_best_view import NextBestViewConfig
-from infomap_ros.views.unproductive_looks import UnproductiveLooksConfig
 
 
 @dataclass(frozen=True)
@@ -64,7 +63,6 @@ class ViewPlannerConfig:
     threads: int = parameter(2, "Threads that evaluate views.", low=1, high=64)
     seed: int = parameter(1, "Seed of the candidates.", low=0)
     choice: NextBestViewConfig = field(default_factory=NextBestViewConfig)
-    unproductive: UnproductiveLooksConfig = field(default_factory=UnproductiveLooksConfig)
     reaching: ReachingConfig = field(default_factory=ReachingConfig)
 
     def __post_init__(self) -> None:

@@ -6,7 +6,7 @@ from bisect import bisect_left
 from dataclasses import dataclass, replace
 
 from infomap_ros.errors import FrameError, PoseUnavailableError
-from infomap_ros.geometry.config import check_config, setting
+from infomap_ros.geometry.config import check_config, parameter, setting
 from infomap_ros.geometry.pose_uncertainty import PoseUncertainty
 from infomap_ros.geometry.records import PoseRecord
 from infomap_ros.geometry.transforms import FloatArray, interpolate_transforms
@@ -18,7 +18,7 @@ _NANOSECONDS = 1_000_000_000
 class PoseBufferConfig:
     """Configuration of `PoseBuffer`."""
 
-    max_gap: float = setting(
+    max_gap: float = parameter(
         0.5,
         "Longest time between two poses across which a pose is interpolated.",
         unit="s",

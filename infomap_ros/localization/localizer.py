@@ -29,8 +29,7 @@ from infomap_ros.localization.filter.fiducial_filter import FiducialFilter
 from infomap_ros.localization.filter.free_motion import FreeMotion
 from infomap_ros.localization.filter.hypothesis_choice import CONTRADICTION
 from infomap_ros.localization.filter.motion_prior import MotionPrior
-from infomap_ros.localization.filter.records import FilterUpdate
-from infomap_ros.localization.known_map import KnownMap
+from infomap_ros.localization.filter.records import Fiducials, FilterUpdate, KeptPoses
 from infomap_ros.localization.localized_camera import Choice, LocalizedCamera, State
 from infomap_ros.localization.localizer_config import LocalizerConfig
 from infomap_ros.localization.recovery import Recovery
@@ -38,6 +37,45 @@ from infomap_ros.localization.scene_fiducials import SceneFiducials
 from infomap_ros.localization.target.target import TargetDetector
 from infomap_ros.localization.target.watch import TargetWatch, is_certain, moved
 from infomap_ros.mapping import VoxelMap
+
+
+class KnownMap:
+    """The part of a localizer that is asked what it knows.
+
+    Args:
+        pose_filter: holds poses and fiducials.
+        scene: holds how fiducials look and from where they were seen.
+    """
+
+    def __init__(self, pose_filter: FiducialFilter, scene: SceneFiducials) -> None:
+        self._filter, self._scene = pose_filter, scene
+
+    def keyframes(self) -> KeptPoses:
+        """The kept poses as they are known now."""
+        return self._filter.kept_poses()
+
+    def forget_keyframes(self) -> None:
+        """Forget the kept poses, as when the clock that they were stamped by is no more."""
+        self._filter.forget_poses(self._filter.kept_poses().stamps)
+
+    def fiducials(self) -> Fiducials:
+        """The scene's fiducials as they are known now."""
+        return self._filter.fiducials()
+
+    def move_map(self, T_new_old: FloatArray, covariance: FloatArray) -> None:
+        """Put the map's frame elsewhere, as when it is learnt where a teammate's map lies.
+
+        Args:
+            T_new_old: the frame as it was, in the new one, shape (4, 4).
+            covariance: of that, in the new frame, shape (6, 6).
+
+        Raises:
+            InvalidInputError: the transform is not rigid, or the covariance is none.
+        """
+        transform = check_transform(T_new_old, "T_new_old")
+        self._filter.move(transform, check_covariance(covariance, 6))
+        self._scene.move(transform)
+
 
 _LEAST_VARIANCE = 1e-10  # of a told pose [m^2 and rad^2], as who points at a plan tells no height
 _ANYWHERE = (3.0, 3.0, 3.0, 1.0, 1.0, 1.0)  # sigmas of the motion of a camera that is lost [m, rad]

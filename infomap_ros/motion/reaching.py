@@ -21,26 +21,19 @@ from infomap_ros.geometry import PinholeCamera, PlacedSolid, check_transform, fl
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.mapping.terrain.terrain import Terrain, terrain_of
-from infomap_ros.motion.arm.arm_trail import ArmTrail
 from infomap_ros.motion.arm.inverse_kinematics import IkConfig, solve_ik_batch
-from infomap_ros.motion.base.base_path import BasePath
-from infomap_ros.motion.base.base_planner import BasePlanner
-from infomap_ros.motion.base.confined_base import why_confined
-from infomap_ros.motion.base.pose_margin import widenings_for
-from infomap_ros.motion.base.standing_ground import with_standing_ground
+from infomap_ros.motion.base.base_planner import BasePlanner, LeavingPlanner, why_confined
+from infomap_ros.motion.base.drive_space import BasePath
+from infomap_ros.motion.base.standing_ground import ClearStart, with_standing_ground
 from infomap_ros.motion.base.vehicle import Vehicle
-from infomap_ros.motion.collision.clear_start import ClearStart
-from infomap_ros.motion.collision.near_space import NearSpace
-from infomap_ros.motion.collision.obstacles import Obstacle, with_obstacles
-from infomap_ros.motion.keep_out import KeepOut, with_closed_ground
-from infomap_ros.motion.leaving import LeavingPlanner
-from infomap_ros.motion.reaching_config import ReachingConfig
+from infomap_ros.motion.collision.checker import NearSpace
+from infomap_ros.motion.keep_out import KeepOut, Obstacle, with_closed_ground, with_obstacles
 from infomap_ros.motion.robot.robot_model import RobotModel
 from infomap_ros.motion.route import ReachResult, Route
-from infomap_ros.motion.route_planner import RoutePlanner
+from infomap_ros.motion.route_planner import ArmTrail, RoutePlanner
 from infomap_ros.motion.stances import StanceFinder, Stances
 from infomap_ros.motion.traversability import unseen_above
-from infomap_ros.motion.whole_body import WholeBody
+from infomap_ros.motion.whole_body import ReachingConfig, WholeBody, widenings_for
 
 _NO_PLACE = "no place to stand from which the arm reaches it"
 _UNEVEN = (-0.2, -0.1, 0.0, 0.1, 0.2)  # [m]; heights of the ground against the nearest
@@ -49,7 +42,7 @@ __all__ = ["ReachingConfig", "WholeBodyReach"]
 
 
 class WholeBodyReach:
-    """Answers for one state of map and robot; it answers the question of `views.reach`.
+    """Answers for one state of map and robot; it answers the question of `views.decision`.
 
     Args:
         robot: with its camera frame; what must be found out about its body is kept for next time.
@@ -58,14 +51,13 @@ class WholeBodyReach:
         joints: where the joints are, by name [rad or m].
         config: None for the defaults.
         start: the declared space in which the robot was started.
-        previous: the instance before: where the arm has been since the base stands, and what was
-            found out about ground that has not changed since, are taken over.
+        previous: the instance before: where the arm has been since the base stands is taken over.
         sent: the route along which the robot was sent since then.
         obstacles: what must not be touched and the map does not show, such as other robots.
-        sigma: of where the base is, from `infomap_ros.motion.base.pose_margin`; what drives and
+        sigma: of where the base is, from `infomap_ros.motion.whole_body`; what drives and
             the arm are taken for wider accordingly [m].
         keep_out: where the base must not go. Where it stands there already, its ways begin with
-            the shortest one out (`infomap_ros.motion.leaving`).
+            the shortest one out (`infomap_ros.motion.base.base_planner`).
         camera: in whose image the robot itself must not cover much; None where that is no matter.
 
     Attributes:
@@ -113,7 +105,6 @@ class WholeBodyReach:
         trail = past.after(self._base, self._q, sent)
         self._routes = RoutePlanner(self._whole, self.near, self.config, trail).foldable()
         self._whole = self._routes.whole
-        self._planner_before = None if previous is None else previous._last_planner
         self._ik = IkConfig(self.config.position_tolerance, self.config.direction_tolerance)
 
     @cached_property
@@ -126,16 +117,15 @@ class WholeBodyReach:
         closed = self._keep_out.closed_ground(ground)
         terrain = with_closed_ground(ground, closed)
         vehicle = widest_vehicle(self._whole, self.config, terrain, self._base, self._sigma)
-        before, self._planner_before = self._planner_before, None
         if not vehicle.closed_at(terrain, *self._xyyaw):
-            return BasePlanner(terrain, vehicle, self.config.base, self._base, before)
+            return BasePlanner(terrain, vehicle, self.config.base, self._base)
         left = [
             each
             for each in closed
             if not vehicle.closed_at(with_closed_ground(ground, [each]), *self._xyyaw)
         ]
         opened = with_closed_ground(ground, left)
-        return LeavingPlanner(terrain, opened, vehicle, self.config.base, self._base, before)
+        return LeavingPlanner(terrain, opened, vehicle, self.config.base, self._base)
 
     @property
     def stands_wrongly(self) -> str:
@@ -146,11 +136,6 @@ class WholeBodyReach:
         if self._keep_out.is_empty:
             return ""
         return self.planner.vehicle.closed_at(self.terrain, *self._xyyaw)
-
-    @property
-    def _last_planner(self) -> BasePlanner | None:
-        """The planner, where it was ever asked for, else that of the instance before."""
-        return self.__dict__.get("planner", self._planner_before)
 
     @property
     def is_wider(self) -> bool:
@@ -209,10 +194,10 @@ class WholeBodyReach:
         if here is not None:
             return here
         finder = StanceFinder(self._whole, self.planner, self.near, self.config, self._xyyaw)
-        stances = finder.find(view)
-        if len(stances.places):
+        stances, reason = finder.find(view)
+        if stances is not None:
             return self._with_base(view, stances)
-        reason = f"{self._closed_below(view)}{stances.reason}; the arm alone: {why_not}"
+        reason = f"{self._closed_below(view)}{reason}; the arm alone: {why_not}"
         return self._approach(view, finder.preferred_places(view), reason)
 
     def with_arm_alone(
@@ -285,7 +270,7 @@ class WholeBodyReach:
                 self._whole.chain, T_base_camera[near], direction_only=True, q_start=self._q,
                 config=self._ik,
             )  # fmt: skip
-            free = self.near.checker_at(self._base).are_free(batch.q, self._base, base=False)
+            free = self.near.checker_at(self._base).are_free(batch.q, self._base)
             found[near] = batch.converged & free
         return found
 
@@ -358,7 +343,7 @@ def widest_vehicle(
         return whole.vehicle
     reach = config.base.standing_reach
     ground = with_standing_ground(terrain, whole.vehicle, T_map_base, reach)
-    x, y = float(T_map_base[0, 3]), float(T_map_base[1, 3])
     yaw = math.atan2(T_map_base[1, 0], T_map_base[0, 0])
+    place = np.array([*T_map_base[:2, 3], yaw])
     vehicles = (whole.wider_vehicle(by) for by in wanted)
-    return next((each for each in vehicles if each.stance(ground, x, y, yaw).ok), whole.vehicle)
+    return next((each for each in vehicles if not each.refusal(ground, place)), whole.vehicle)

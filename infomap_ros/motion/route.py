@@ -67,7 +67,6 @@ class Route:
         arm_after: from the driving posture to the view.
         T_map_camera: camera pose at the end, shape (4, 4).
         partial: it ends at the farthest safe approach, not at the view.
-        planned_by: what planned the base's path: ompl or lattice; empty where the base stays.
     """
 
     arm_before: ArmPath
@@ -76,7 +75,6 @@ class Route:
     arm_after: ArmPath
     T_map_camera: FloatArray
     partial: bool = False
-    planned_by: str = ""
 
     @property
     def moves_base(self) -> bool:

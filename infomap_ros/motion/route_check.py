@@ -1,9 +1,8 @@
 """Is what is left of a route still free in the map as it is now? Where not, and why?
 
-What is asked is whether the map, or where the base must not go, has changed for the worse since
-the route was planned. A robot may
-have to leave a place where it should not stand, or an arm a contact at its start: what was not free
-when the route was planned, by the same checks, does not count.
+What is asked is whether the map, or where the base must not go, has changed for the worse since the
+route was planned. A robot may have to leave a place where it should not stand, or an arm a contact
+at its start: what was not free when the route was planned, by the same checks, does not count.
 """
 
 from __future__ import annotations
@@ -17,26 +16,18 @@ from numpy.typing import NDArray
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import OccupancyThresholds, VoxelMap
 from infomap_ros.mapping.distance_field import distance_field
-from infomap_ros.mapping.terrain.terrain import Terrain, terrain_of
+from infomap_ros.mapping.terrain.terrain import Terrain
 from infomap_ros.mapping.voxels.window import CONFIRMED_PROBABILITY
-from infomap_ros.motion.base.stance import (
-    OUTSIDE,
-    STANDS,
-    UNKNOWN_BODY,
-    UNKNOWN_WHEEL,
-    UNSEEN,
-)
-from infomap_ros.motion.base.standing_ground import with_standing_ground
+from infomap_ros.motion.base import stance
+from infomap_ros.motion.base.drive_space import TURN_LENGTH, apart
+from infomap_ros.motion.base.standing_ground import ClearStart, known_ground
 from infomap_ros.motion.collision.checker import CollisionChecker
-from infomap_ros.motion.collision.clear_start import ClearStart
 from infomap_ros.motion.keep_out import KeepOut, with_keep_out
-from infomap_ros.motion.reaching_config import ReachingConfig
 from infomap_ros.motion.route import ArmPath, Route
-from infomap_ros.motion.whole_body import WholeBody
+from infomap_ros.motion.whole_body import ReachingConfig, WholeBody
 
-_TURNED_UNKNOWN = (OUTSIDE, UNKNOWN_WHEEL, UNKNOWN_BODY, UNSEEN)
+_TURNED_UNKNOWN = (stance.OUTSIDE, stance.UNKNOWN_WHEEL, stance.UNKNOWN_BODY, stance.UNSEEN)
 """Outcomes that no obstacle has: what was seen once is not blocked for being seen less well."""
-_TURN_LENGTH = 0.2  # [m/rad]; what a turn counts beside a way
 _PROGRESS = 1.0  # [m]; farther the base does not come along its path between two checks
 _ARM_STEP = 0.05  # [rad or m] between configurations that are checked
 _BELOW = 0.5  # [m] below the base that the map is compared
@@ -83,7 +74,7 @@ class RouteCheck:
         self._keep_out = keep_out or KeepOut()
         self._whole, self._config, self._start = whole, config, start
         # The plan kept a margin; what uses it up, as noise of the ground does, breaks nothing off.
-        self._vehicle = whole.vehicle.under_way()
+        self._vehicle = whole.vehicle.under_way
         self._base, self._began = T_map_base, whole.chain.positions(joints)
         self._path = route.base_path if route.moves_base else np.zeros((0, 3))
         self._heights = route.base_poses[:, 2, 3] if route.moves_base else np.zeros(0)
@@ -123,9 +114,10 @@ class RouteCheck:
         if len(self._path):
             left = self._path[self._passed :]
             steps = np.linalg.norm(np.diff(left[:, :2], axis=0), axis=1)
-            steps += _TURN_LENGTH * np.abs(np.diff(left[:, 2]))
+            steps += TURN_LENGTH * np.abs(np.diff(left[:, 2]))
             near = int(np.searchsorted(np.cumsum(steps), _PROGRESS)) + 1
-            self._passed += int(_apart(left[:near], T_map_base).argmin())
+            yaw = np.arctan2(T_map_base[1, 0], T_map_base[0, 0])
+            self._passed += int(apart(left[:near], np.array([*T_map_base[:2, 3], yaw])).argmin())
         if len(self._arm):
             here = self._whole.chain.positions(joints)
             away = np.abs(self._arm[self._arm_passed :] - here).max(axis=1)
@@ -136,13 +128,19 @@ class RouteCheck:
             return None
         terrain = self._terrain(voxel_map)
         outcomes = self._vehicle.stances(terrain, self._path).outcomes
-        blocked = self._stood & (outcomes != STANDS) & ~np.isin(outcomes, _TURNED_UNKNOWN)
+        blocked = self._stood & (outcomes != stance.STANDS) & ~np.isin(outcomes, _TURNED_UNKNOWN)
         blocked[: self._passed] = False
+        # Where it stands it can stand: what it leaves at once is no fault.
+        left = blocked[self._passed :]
+        leaving = int(np.argmin(left))
+        way = self._path[self._passed + leaving][None]
+        if apart(way, self._path[self._passed])[0] <= self._config.base.standing_reach:
+            left[:leaving] = False
         if not blocked.any():
             return None
         row = int(np.argmax(blocked))
-        x, y, yaw = (float(value) for value in self._path[row])
-        why = self._vehicle.stance(terrain, x, y, yaw).reason
+        x, y, _ = (float(value) for value in self._path[row])
+        why = self._vehicle.refusal(terrain, self._path[row])
         reason = f"the base path is blocked at ({x:.2f}, {y:.2f}): {why}"
         return RouteFault((x, y, float(self._heights[row])), reason)
 
@@ -155,22 +153,18 @@ class RouteCheck:
         blocked[: self._arm_passed] = False
         if not blocked.any():
             return None
-        what = checker.check(self._arm[int(np.argmax(blocked))], self._base, base=False).what
+        what = checker.contact(self._arm[int(np.argmax(blocked))], self._base)
         x, y, z = (float(value) for value in self._base[:3, 3])
         return RouteFault((x, y, z), f"the path of the arm is blocked: {what}")
 
     def _free(self, checker: CollisionChecker) -> NDArray[np.bool_]:
         """Where on its path the arm touches nothing, shape (A,)."""
-        return checker.are_free(self._arm, self._base, base=False)
+        return checker.are_free(self._arm, self._base)
 
     def _terrain(self, voxel_map: VoxelMap) -> Terrain:
         """The ground as it was planned on: the same search, the same place where it stands."""
-        vehicle = self._whole.vehicle
-        terrain = terrain_of(voxel_map, self._config.terrain, self._base[:3, 3])
-        if self._start is not None:
-            terrain = self._start.ground(terrain, vehicle)
-        reach = self._config.base.standing_reach
-        terrain = with_standing_ground(terrain, vehicle, self._base, reach)
+        config, vehicle, reach = self._config, self._whole.vehicle, self._config.base.standing_reach
+        terrain = known_ground(voxel_map, config.terrain, vehicle, self._base, self._start, reach)
         return with_keep_out(terrain, self._keep_out)
 
     def _checker(self, voxel_map: VoxelMap) -> CollisionChecker:
@@ -194,14 +188,6 @@ class RouteCheck:
         low[2] = places[:, 2].min() - _BELOW
         thresholds = OccupancyThresholds(0.5, CONFIRMED_PROBABILITY, 0)
         return voxel_map.window(low, high).states(thresholds)
-
-
-def _apart(path: FloatArray, T_map_base: FloatArray) -> FloatArray:
-    """How far poses x, y, yaw, shape (K, 3), are from a base [m], turns counted as ways."""
-    yaw = np.arctan2(T_map_base[1, 0], T_map_base[0, 0])
-    turns = np.abs((path[:, 2] - yaw + np.pi) % (2.0 * np.pi) - np.pi)
-    away = np.hypot(path[:, 0] - T_map_base[0, 3], path[:, 1] - T_map_base[1, 3])
-    return np.asarray(away + _TURN_LENGTH * turns)
 
 
 def _densified(path: ArmPath) -> FloatArray:

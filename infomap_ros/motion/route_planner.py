@@ -1,7 +1,13 @@
-"""Routes of base and arm from where the robot is."""
+"""Routes of base and arm from where the robot is, and where the arm has been since it stands there.
+
+The map may change its mind about space through which the arm has come: a scan adds a speck of
+noise, or the base stands a little off from where the way was planned. The way back is open all the
+same, as the body itself has just been there.
+"""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -9,16 +15,107 @@ import numpy as np
 from numpy.typing import NDArray
 
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.motion.arm.arm_path import QUICK_SEARCH, plan_arm_path
-from infomap_ros.motion.arm.arm_trail import ArmTrail, corners_of
+from infomap_ros.motion.arm.arm_path import QUICK_SEARCH, plan_arm_path, time_path
 from infomap_ros.motion.arm.inverse_kinematics import IkConfig, solve_ik, solve_ik_batch
-from infomap_ros.motion.arm.trajectory import time_path
-from infomap_ros.motion.base.base_path import BasePath
-from infomap_ros.motion.base.drive_time import drive_seconds
-from infomap_ros.motion.collision.near_space import NearSpace
-from infomap_ros.motion.reaching_config import ReachingConfig
+from infomap_ros.motion.base.drive_space import BasePath
+from infomap_ros.motion.base.path_following import drive_seconds
+from infomap_ros.motion.collision.checker import NearSpace
 from infomap_ros.motion.route import ArmPath, ReachResult, Route
-from infomap_ros.motion.whole_body import WholeBody
+from infomap_ros.motion.whole_body import ReachingConfig, WholeBody
+
+_SAME = 0.05  # [rad or m]; by which an arm may be off from its way
+_MOVED = 0.1  # [m]; by which a base that stands may seem to move
+_TURNED = 0.15  # [rad]
+_STRAIGHT = 1e-6  # [rad or m]
+
+
+@dataclass(frozen=True, eq=False)
+class ArmTrail:
+    """Configurations that the arm has passed, with straight lines between them.
+
+    Attributes:
+        T_map_base: where the base stands, shape (4, 4).
+        positions: the oldest first, the present one last, shape (K, n) [rad or m].
+    """
+
+    T_map_base: FloatArray
+    positions: FloatArray
+
+    @classmethod
+    def at(cls, T_map_base: FloatArray, q: FloatArray) -> ArmTrail:
+        """Nothing is known but where the robot is."""
+        return cls(np.array(T_map_base), np.array(q, dtype=np.float64)[None])
+
+    def after(self, T_map_base: FloatArray, q: FloatArray, route: Route | None) -> ArmTrail:
+        """The trail of a robot that was sent along a route, or along none, and is now here.
+
+        A route may have been left at any point; what the arm has done besides it is not known.
+
+        Args:
+            T_map_base: where the base is, shape (4, 4).
+            q: where the arm is, shape (n,).
+            route: that began where this trail ends.
+        """
+        fresh = ArmTrail.at(T_map_base, q)
+        if route is not None and route.moves_base:
+            passed = _passed(route.arm_after, q)
+            if passed is not None:
+                return ArmTrail(fresh.T_map_base, passed)
+        if self._stood_elsewhere(T_map_base):
+            return fresh
+        steps = [] if route is None else [route.arm_before]
+        if route is not None and not route.moves_base:
+            steps.append(route.arm_after)
+        if np.abs(self.positions[-1] - q).max(initial=0.0) <= _SAME and not any(
+            step.moves for step in steps
+        ):
+            return ArmTrail(fresh.T_map_base, np.concatenate([self.positions, fresh.positions]))
+        before = self.positions
+        for step in steps:
+            passed = _passed(step, q)
+            if passed is not None:
+                return ArmTrail(fresh.T_map_base, np.concatenate([before, passed]))
+            before = np.concatenate([before, step.positions])
+        return fresh
+
+    def back(self) -> FloatArray:
+        """Corners of the way back, the present configuration first, shape (K, n)."""
+        return corners_of(self.positions)[::-1]
+
+    def _stood_elsewhere(self, T_map_base: FloatArray) -> bool:
+        change = np.linalg.inv(self.T_map_base) @ T_map_base
+        turn = math.acos(min(max(0.5 * (np.trace(change[:3, :3]) - 1.0), -1.0), 1.0))
+        return float(np.linalg.norm(change[:3, 3])) > _MOVED or turn > _TURNED
+
+
+def corners_of(positions: FloatArray) -> FloatArray:
+    """Leave out the configurations, of (K, n), that lie on the line between their neighbors."""
+    differs = np.abs(np.diff(positions, axis=0)).max(axis=1, initial=0.0) > _STRAIGHT
+    positions = positions[np.append(True, differs)]
+    kept = [0]
+    for row in range(1, len(positions) - 1):
+        first, middle, last = positions[kept[-1]], positions[row], positions[row + 1]
+        way = last - first
+        length = float(way @ way)
+        share = float((middle - first) @ way) / length if length > 0.0 else 2.0
+        on_line = 0.0 <= share <= 1.0 and np.abs(first + share * way - middle).max() <= _STRAIGHT
+        if not on_line:
+            kept.append(row)
+    if len(positions) > 1:
+        kept.append(len(positions) - 1)
+    return positions[kept]
+
+
+def _passed(path: ArmPath, q: FloatArray) -> FloatArray | None:
+    """The part of a way that an arm at `q` has behind it; None if it is not on that way."""
+    if not len(path.positions):
+        return None
+    away = np.abs(path.positions - q).max(axis=1, initial=0.0)
+    nearest = int(np.argmin(away))
+    if away[nearest] > _SAME:
+        return None
+    return np.concatenate([path.positions[: nearest + 1], q[None]])
+
 
 _BRANCHES = 5  # corners of the trail from which another way is sought
 _POSTURES_TRIED = 400
@@ -79,9 +176,9 @@ class RoutePlanner:
         checker = self.near.checker_at(base)
 
         def is_valid(q: FloatArray) -> bool:
-            report = checker.check(q, base, base=False)
-            if not report.free:
-                refused.append(f"touches {report.what}")
+            touched = checker.contact(q, base)
+            if touched:
+                refused.append(f"touches {touched}")
             elif not self.whole.sees_past_itself(q[None])[0]:
                 refused.append(_SEES_ITSELF)
             else:
@@ -121,10 +218,10 @@ class RoutePlanner:
         qs, errors = postures_near(self.whole, np.linalg.inv(base) @ view, *tolerances, planned)
         checker = self.near.checker_at(base)
         sees = self.whole.sees_past_itself(qs)
-        free = np.flatnonzero(checker.are_free(qs, base, base=False) & sees)
+        free = np.flatnonzero(checker.are_free(qs, base) & sees)
         reason = "no posture near the view is free"
         if len(free):
-            touched = checker.check(qs[0], base, base=False).what
+            touched = checker.contact(qs[0], base)
             reason = f"the nearest posture touches {touched}" if touched else _OUT_OF_REACH
         for row in _apart(qs, free):
             from_here = self.arm_from_here if row == free[0] else self._quick_arm
@@ -159,8 +256,7 @@ class RoutePlanner:
             after = ArmPath.staying(self.whole.chain.joint_names, self.whole.driving)
         camera = end @ self.whole.chain.camera_pose(after.positions[-1])
         before, partial = self._folding, not path.complete
-        method = path.method if len(path.poses) > 1 else ""
-        route = Route(before, path.poses, path.T_map_base, after, camera, partial, method)
+        route = Route(before, path.poses, path.T_map_base, after, camera, partial)
         reason = "" if path.complete else f"base path: {path.reason}"
         travel = before.joint_travel + after.joint_travel
         seconds = before.duration + after.duration
@@ -178,7 +274,7 @@ class RoutePlanner:
             Shape (n,) [rad or m].
         """
         qs = np.concatenate([self.whole.driving[None], self.whole.postures.q[:_POSTURES_TRIED]])
-        qs = qs[self.near.checker_at(T_map_base).are_free(qs, T_map_base, base=False)]
+        qs = qs[self.near.checker_at(T_map_base).are_free(qs, T_map_base)]
         if not len(qs):
             return self.whole.driving
         cameras = T_map_base @ self.whole.chain.camera_pose(qs)
@@ -200,7 +296,7 @@ class RoutePlanner:
         if self._folding.converged:
             return self
         checker = self.near.checker_at(base)
-        for row in np.flatnonzero(checker.are_free(whole.compact, base, base=False))[:_BRANCHES]:
+        for row in np.flatnonzero(checker.are_free(whole.compact, base))[:_BRANCHES]:
             if self._quick_arm(whole.compact[row]).converged:
                 return replace(self, whole=whole.driving_in(whole.compact[row]))
         return replace(self, whole=whole.driving_in(self.trail.back()[-1]))
@@ -213,7 +309,7 @@ class RoutePlanner:
     def _back_and_on(self, goal: FloatArray, direct: ArmPath) -> ArmPath:
         """Back along the trail, to the goal if that is on it, else on from one of its corners."""
         back = self.trail.back()
-        on_it = np.flatnonzero(np.abs(back - goal).max(axis=1) <= _THERE)
+        on_it = np.flatnonzero(np.abs(back - goal).max(axis=1, initial=0.0) <= _THERE)
         if len(on_it):
             return self._timed_back(back[: on_it[0] + 1])
         base = self.trail.T_map_base
@@ -239,7 +335,7 @@ def _apart(qs: FloatArray, rows: NDArray[np.intp]) -> list[int]:
     for row in rows:
         if len(kept) == _NEAREST_TRIED:
             break
-        if not kept or np.abs(qs[kept] - qs[row]).max(axis=1).min() > _ALIKE:
+        if not kept or np.abs(qs[kept] - qs[row]).max(axis=1, initial=0.0).min() > _ALIKE:
             kept.append(int(row))
     return kept
 

@@ -10,39 +10,22 @@ from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.motion.arm.arm_path import QUICK_SEARCH, plan_arm_path
 from infomap_ros.motion.arm.inverse_kinematics import IkConfig, solve_ik_batch
 from infomap_ros.motion.base.base_planner import BasePlanner
-from infomap_ros.motion.collision.checker import CollisionChecker
-from infomap_ros.motion.collision.near_space import NearSpace
-from infomap_ros.motion.reaching_config import ReachingConfig
-from infomap_ros.motion.whole_body import WholeBody
+from infomap_ros.motion.base.drive_space import apart
+from infomap_ros.motion.collision.checker import CollisionChecker, NearSpace
+from infomap_ros.motion.whole_body import ReachingConfig, WholeBody
 
 _LEAN = 0.1  # [rad]
 _UNEVEN = 0.1  # [m]; by which the base's origin may be off from level ground below its middle
-_TURN_LENGTH = 0.2  # [m/rad]; what a turn counts beside a way
 _ASKED = 50
 
 
 @dataclass(frozen=True, eq=False)
 class Stances:
-    """Places for the base, the nearest first.
+    """Places for the base.
 
     Attributes:
-        places: x, y [m] and yaw [rad] in the map, shape (G, 3).
-        q: posture of the arm that brings the camera to the view there, shape (G, n) [rad or m].
-        reason: why there are none, empty where there are.
-    """
-
-    places: FloatArray
-    q: FloatArray
-    reason: str = ""
-
-
-@dataclass(frozen=True, eq=False)
-class _Candidates:
-    """Places with what is known of them so far.
-
-    Attributes:
-        places: shape (P, 3).
-        q: shape (P, n).
+        places: x, y [m] and yaw [rad] in the map, shape (P, 3).
+        q: posture of the arm that brings the camera to the view there, shape (P, n) [rad or m].
         T_map_base: how the robot stands there, shape (P, 4, 4).
     """
 
@@ -50,8 +33,9 @@ class _Candidates:
     q: FloatArray
     T_map_base: FloatArray
 
-    def rows(self, chosen: np.ndarray) -> _Candidates:
-        return _Candidates(self.places[chosen], self.q[chosen], self.T_map_base[chosen])
+    def rows(self, chosen: np.ndarray | list[int]) -> Stances:
+        """Some of them."""
+        return Stances(self.places[chosen], self.q[chosen], self.T_map_base[chosen])
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,22 +62,23 @@ class StanceFinder:
         count = min(len(places), self.config.goals)
         return places[np.random.default_rng(0).choice(len(places), count, replace=False)]
 
-    def find(self, view: FloatArray) -> Stances:
-        """Stances for one view, T_map_camera (4, 4), cheap conditions first."""
+    def find(self, view: FloatArray) -> tuple[Stances | None, str]:
+        """Stances for one view, T_map_camera (4, 4), the nearest first; or why there are none.
+
+        Cheap conditions are asked first.
+        """
         found, reason = self._standing(view)
         if found is None:
-            return self._none(reason)
+            return None, reason
         checker = self.near.checker_around(found.T_map_base)
         found, reason = self._reaching(view, found, checker)
         if found is None:
-            return self._none(reason)
-        nearest = found.rows(np.argsort(self._way_to(found.places))[: self.config.goals])
+            return None, reason
+        nearest = found.rows(np.argsort(apart(found.places, self.here))[: self.config.goals])
         good, reason = self._unfolding(nearest)
-        if not good:
-            return self._none(reason)
-        return Stances(nearest.places[good], nearest.q[good])
+        return (nearest.rows(good), "") if good else (None, reason)
 
-    def _standing(self, view: FloatArray) -> tuple[_Candidates | None, str]:
+    def _standing(self, view: FloatArray) -> tuple[Stances | None, str]:
         """Places on ground that can be reached, at the right height, where the robot stands."""
         places, heights, rows = self.whole.postures.places_for(view, self._steepness_tolerance)
         terrain, area = self.planner.terrain, self.planner.reachable_area(self.here)
@@ -110,16 +95,15 @@ class StanceFinder:
             chosen = np.random.default_rng(0).choice(chosen, self.config.stances, replace=False)
         stances = self.planner.vehicle.stances(terrain, places[chosen])
         if not stances.ok.any():
-            x, y, yaw = places[chosen[0]]
-            why = self.planner.vehicle.stance(terrain, x, y, yaw).reason
+            why = self.planner.vehicle.refusal(terrain, places[chosen[0]])
             return None, f"no safe stance among {len(chosen)}, for example: {why}"
         ok = stances.ok
         postures = self.whole.postures.q[rows[chosen[ok]]]
-        return _Candidates(places[chosen[ok]], postures, stances.T_map_base[ok]), ""
+        return Stances(places[chosen[ok]], postures, stances.T_map_base[ok]), ""
 
     def _reaching(
-        self, view: FloatArray, found: _Candidates, checker: CollisionChecker
-    ) -> tuple[_Candidates | None, str]:
+        self, view: FloatArray, found: Stances, checker: CollisionChecker
+    ) -> tuple[Stances | None, str]:
         """Those where the arm reaches the view and touches nothing."""
         config = IkConfig(
             position_tolerance=self.config.position_tolerance,
@@ -133,11 +117,11 @@ class StanceFinder:
         count = len(solved.converged)
         if not solved.converged.any():
             return None, f"no inverse kinematics at {count} stances"
-        reached = _Candidates(found.places, solved.q, found.T_map_base).rows(solved.converged)
+        reached = Stances(found.places, solved.q, found.T_map_base).rows(solved.converged)
         reached = reached.rows(self.whole.sees_past_itself(reached.q))
         if not len(reached.q):
             return None, f"the robot itself covers too much of the image at all of {count} stances"
-        free = checker.are_free(reached.q, reached.T_map_base, base=False)
+        free = checker.are_free(reached.q, reached.T_map_base)
         if not free.any():
             return (
                 None,
@@ -145,7 +129,7 @@ class StanceFinder:
             )
         return reached.rows(free), ""
 
-    def _unfolding(self, found: _Candidates) -> tuple[list[int], str]:
+    def _unfolding(self, found: Stances) -> tuple[list[int], str]:
         """Rows of those where the arm gets from the driving posture to the view in balance."""
         good: list[int] = []
         reason = ""
@@ -153,9 +137,9 @@ class StanceFinder:
         for row, (place, q, pose) in enumerate(
             zip(found.places, found.q, found.T_map_base, strict=True)
         ):
-            stance = vehicle.stance(terrain, place[0], place[1], place[2], q)
-            if not stance.ok:
-                reason = f"with the arm at the view: {stance.reason}"
+            refusal = vehicle.refusal(terrain, place, q)
+            if refusal:
+                reason = f"with the arm at the view: {refusal}"
                 continue
             checker = self.near.checker_at(pose)
             path = plan_arm_path(checker, self.whole.driving, q, pose, QUICK_SEARCH)
@@ -170,19 +154,11 @@ class StanceFinder:
         """The base may lean when it stands there [rad]."""
         return self.config.direction_tolerance + _LEAN
 
-    def _way_to(self, places: FloatArray) -> FloatArray:
-        turns = np.abs((places[:, 2] - self.here[2] + np.pi) % (2.0 * np.pi) - np.pi)
-        away = np.hypot(places[:, 0] - self.here[0], places[:, 1] - self.here[1])
-        return np.asarray(away + _TURN_LENGTH * turns)
 
-    def _none(self, reason: str) -> Stances:
-        return Stances(np.zeros((0, 3)), np.zeros((0, len(self.whole.chain))), reason)
-
-
-def _mostly(checker: CollisionChecker, found: _Candidates) -> str:
+def _mostly(checker: CollisionChecker, found: Stances) -> str:
     """What the arm touches at most of the first places, with one of them."""
     reports = [
-        checker.check(q, pose, base=False).what
+        checker.contact(q, pose)
         for q, pose in zip(found.q[:_ASKED], found.T_map_base[:_ASKED], strict=True)
     ]
     kinds = [what.split(" at ")[0] for what in reports]

@@ -1,26 +1,139 @@
-"""What reaching needs to know of a robot, whatever the map: found out once and kept."""
+"""What reaching needs to know of a robot, whatever the map: found out once and kept.
+
+And how far a body must keep from things because it is not known exactly where it is.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
+from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from infomap_ros.errors import ConfigError
-from infomap_ros.geometry import PinholeCamera, PlacedSolid
+from infomap_ros.errors import ConfigError, InvalidInputError
+from infomap_ros.geometry import PinholeCamera, PlacedSolid, check_covariance, check_transform, skew
+from infomap_ros.geometry.config import check_config, parameter, setting
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.motion.arm.arm_postures import ArmPostures
-from infomap_ros.motion.arm.driving_posture import compact_postures, driving_posture
-from infomap_ros.motion.arm.own_view import OwnView
-from infomap_ros.motion.base.vehicle import Vehicle
-from infomap_ros.motion.collision.body import CollisionBody
-from infomap_ros.motion.collision.link_pairs import is_any_of
-from infomap_ros.motion.reaching_config import ReachingConfig
+from infomap_ros.mapping.terrain.terrain import TerrainConfig
+from infomap_ros.motion.arm.arm_path import ArmPathConfig, TrajectoryConfig
+from infomap_ros.motion.arm.arm_postures import (
+    ArmPostures,
+    OwnView,
+    compact_postures,
+    driving_posture,
+)
+from infomap_ros.motion.base.drive_space import BasePlannerConfig
+from infomap_ros.motion.base.path_following import PathFollowingConfig
+from infomap_ros.motion.base.vehicle import Vehicle, VehicleConfig
+from infomap_ros.motion.collision.body import CollisionBody, CollisionConfig
+from infomap_ros.motion.collision.pair_study import is_any_of
 from infomap_ros.motion.robot.chain import KinematicChain
 from infomap_ros.motion.robot.robot_model import RobotModel
+
+_RIM = 8  # directions in which the rim of the body is asked
+_STEP = 0.01  # [m]; vehicles of a few margins are made and remembered
+
+
+def base_sigma(
+    T_map_camera: ArrayLike, covariance: ArrayLike, T_map_base: ArrayLike, radius: float
+) -> float:
+    """How well it is known where a robot's body is, as its camera's pose tells.
+
+    A pose error (dt, dtheta) shifts a point p of the robot by ``dt + dtheta x (p - c)``, c being
+    the camera's position.
+
+    Args:
+        T_map_camera: shape (4, 4).
+        covariance: of that pose, shape (6, 6), convention of `geometry.transforms`.
+        T_map_base: shape (4, 4).
+        radius: of the body about the base's origin [m].
+
+    Returns:
+        Largest standard deviation, in any level direction, of a point of the body's rim [m].
+
+    Raises:
+        InvalidInputError: not rigid transforms, not a covariance, or a negative radius.
+    """
+    camera = check_transform(T_map_camera, "T_map_camera")[:3, 3]
+    base = check_transform(T_map_base, "T_map_base")
+    spread = check_covariance(covariance, 6, "covariance")
+    if not radius >= 0.0:
+        raise InvalidInputError("radius", f"is {radius}, expected at least 0 m")
+    largest = 0.0
+    for angle in np.linspace(0.0, 2.0 * math.pi, _RIM, endpoint=False):
+        rim = base @ (radius * math.cos(angle), radius * math.sin(angle), 0.0, 1.0)
+        level = np.hstack([np.eye(3), -skew(rim[:3] - camera)])[:2]
+        variances = np.linalg.eigvalsh(level @ spread @ level.T)
+        largest = max(largest, float(variances[-1]))
+    return math.sqrt(largest)
+
+
+def widenings_for(config: VehicleConfig | CollisionConfig, sigma: float) -> list[float]:
+    """By how much a body is to be taken for wider, the wanted first, down to 0 for a sure pose.
+
+    The errors that the margin is for and those of the pose are independent, so that their squares
+    are added. Whole steps of 1 cm are taken, the nearest.
+
+    Args:
+        config: of the vehicle or of the arm.
+        sigma: of its position, from `base_sigma` [m].
+
+    Returns:
+        One or more, falling [m].
+    """
+    least = config.margin
+    wanted = min(math.hypot(least, config.margin_sigmas * sigma), max(config.max_margin, least))
+    steps = round((wanted - least) / _STEP)
+    return [_STEP * step for step in range(steps, -1, -1)]
+
+
+@dataclass(frozen=True)
+class ReachingConfig:
+    """How near a view must be reached, and with how much effort.
+
+    Raises:
+        ConfigError: a value is out of its range.
+    """
+
+    position_tolerance: float = setting(
+        0.05, "A view counts as reached when the camera is this near to it.", unit="m",
+        low=1e-4, high=10.0,
+    )  # fmt: skip
+    direction_tolerance: ClassVar[float] = 0.1
+    """And when its viewing direction differs by no more than this; the roll is free [rad]."""
+    postures: int = setting(
+        30000, "Random postures of the arm from which places for the base are derived.",
+        low=100, high=10**7,
+    )  # fmt: skip
+    stances: ClassVar[int] = 400
+    """Places for the base that are looked at for one view."""
+    goals: ClassVar[int] = 5
+    """Of these, the nearest good ones that are given to the planner of the base."""
+    min_approach: ClassVar[float] = 0.3
+    """A way that does not lead to the view is offered where it brings the base nearer by more
+    than this [m].
+    """
+    clear_body: ClassVar[float] = 0.05
+    """Space within this of the robot's present body is free though it was never seen [m]."""
+    driving_posture: tuple[float, ...] = parameter(
+        (), "Positions of the arm's joints while the base drives; a compact posture is looked for "
+        "where empty.", unit="rad or m",
+    )  # fmt: skip
+    collision: CollisionConfig = field(default_factory=CollisionConfig)
+    arm_path: ArmPathConfig = field(default_factory=ArmPathConfig)
+    trajectory: TrajectoryConfig = field(default_factory=TrajectoryConfig)
+    terrain: TerrainConfig = field(default_factory=TerrainConfig)
+    vehicle: VehicleConfig = field(default_factory=VehicleConfig)
+    base: BasePlannerConfig = field(default_factory=BasePlannerConfig)
+    following: PathFollowingConfig = field(default_factory=PathFollowingConfig)
+
+    def __post_init__(self) -> None:
+        check_config(self)
+
 
 _ROUNDING = 2  # decimals of the positions of joints that are not the arm's
 _COMPACT = 40  # postures
@@ -78,7 +191,7 @@ class WholeBody:
 
     def driving_in(self, q: FloatArray) -> WholeBody:
         """The same robot, which drives in another posture, shape (n,), with its footprint."""
-        if np.abs(q - self.driving).max() < _SAME:
+        if np.abs(q - self.driving).max(initial=0.0) < _SAME:
             return self
         return _driving_in(self, tuple(q.tolist()))
 

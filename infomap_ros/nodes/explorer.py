@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 import threading
+import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -24,14 +25,14 @@ from std_srvs.srv import Trigger
 from infomap_ros.errors import CalibrationError, ExplorationError, InfomapError
 from infomap_ros.exploration.commanded_robot import CommandedRobot, CommandedRobotConfig
 from infomap_ros.exploration.control import Control, Request
-from infomap_ros.exploration.loop import Ending, Exploration
+from infomap_ros.exploration.loop import Exploration
 from infomap_ros.exploration.mission import Mission
 from infomap_ros.exploration.records.run_log import RunLogFile
-from infomap_ros.exploration.robot import FailedView
+from infomap_ros.exploration.robot import FailedView, Interrupted
+from infomap_ros.exploration.rules import STOPPED, Ending
 from infomap_ros.exploration.target.target_hunt import find_target
 from infomap_ros.exploration.task import TaskConfig
-from infomap_ros.exploration.team.keep_clear import PAUSE, KeepClearConfig, KeepsClear
-from infomap_ros.exploration.team.watched_motion import Awareness
+from infomap_ros.exploration.team.keep_clear import PAUSE, Awareness, KeepClearConfig, KeepsClear
 from infomap_ros.geometry.assumed_pose import AssumedPoseConfig
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.joint_buffer import JointBufferConfig
@@ -39,13 +40,96 @@ from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.common.lockstep import LockstepConfig, LockstepTime
 from infomap_ros.nodes.common.run import run_node
+from infomap_ros.nodes.locating.localization_status import (
+    LOCALIZATION_STATUS,
+    LocalizationState,
+    read_status,
+)
 from infomap_ros.nodes.planning.exploration_status import status_message
 from infomap_ros.nodes.planning.remote_planner import RemotePlanner, RemotePlannerConfig
 from infomap_ros.nodes.planning.robot_topics import RobotTopics
-from infomap_ros.nodes.planning.target_sight import TargetSight
 from infomap_ros.nodes.robot.robot_tracker import RobotTracker, RobotTrackerConfig
+from infomap_ros.nodes.team.agents_topic import listen_to_agents
 from infomap_ros.nodes.team.team_identity import TeamIdentityConfig
-from infomap_ros.nodes.team.teammates_near import TeammatesNear
+from infomap_ros.team.agent_board import AgentBoard
+from infomap_ros.team.agents import Agent
+
+
+class TeammatesNear:
+    """What the others tell of themselves.
+
+    Args:
+        node: that listens; has the configurations of team and tracker.
+    """
+
+    def __init__(self, node: MonitoredNode) -> None:
+        who = node.config(TeamIdentityConfig)
+        self._board = AgentBoard(who.robot_id, None, team=who.team, key=who.read_key())
+        self._own = node.resolve_topic_name("robot_description")
+        self._lock = threading.Lock()
+        listen_to_agents(node, node.config(RobotTrackerConfig).map_frame, self._hear)
+
+    def present(self) -> tuple[Agent, ...]:
+        """The others that were heard lately, as they told last; may be asked by any thread."""
+        with self._lock:
+            heard = self._board.present(time.monotonic())
+        # An explorer that was given no id hears its own robot's next_best_view, too.
+        return tuple(agent for agent in heard if agent.description != self._own)
+
+    def _hear(self, text: str) -> None:
+        with self._lock:
+            self._board.hear(text, time.monotonic())
+
+
+_PAIRS = 2  # that are looked at in one place; the first may be from the way
+
+
+class TargetSight:
+    """Implements `infomap_ros.exploration.target.target_hunt.SearchSight`.
+
+    Args:
+        node: listens to localization_status.
+        tracker: woken by news, and knows where odometry has the robot.
+    """
+
+    def __init__(self, node: MonitoredNode, tracker: RobotTracker) -> None:
+        self._tracker, self._progress_timeout = (
+            tracker,
+            node.config(CommandedRobotConfig).progress_timeout,
+        )
+        self._last = LocalizationState(0, "", "")
+        self._looks = 0
+        profile = qos.latched()
+        node.listen(DiagnosticStatus, LOCALIZATION_STATUS, self._on_status, profile, required=False)
+
+    @property
+    def found(self) -> bool:
+        """Whether localization says anything else than that it searches."""
+        return self._last.state not in ("", "searching")
+
+    @property
+    def is_wanted(self) -> bool:
+        """Whether there is a target that was never seen, and odometry to look for it by."""
+        is_searching = self._last.state == "searching"
+        return is_searching and self._tracker.known_state(in_odometry=True) is not None
+
+    def look(self, interrupted: Interrupted) -> str:
+        """Wait until pairs from here have been looked at; empty, or why not."""
+        before = self._looks
+
+        def done() -> bool:
+            return self._looks - before >= _PAIRS or self.found
+
+        if self._tracker.wait_until(done, self._progress_timeout, interrupted) or interrupted():
+            return ""
+        return f"no pair was looked at within {self._progress_timeout:g} s"
+
+    def _on_status(self, message: DiagnosticStatus) -> None:
+        news = read_status(message)
+        self._looks += news.stamp != self._last.stamp
+        self._last = news
+        self._tracker.notify()
+
 
 _STATUS_PERIOD = 0.5  # [s]
 _ACKNOWLEDGED = Duration(seconds=1)  # for which a status is waited for at most
@@ -208,15 +292,16 @@ class ExplorerNode(MonitoredNode):
         while not self._stopped():
             exploration.control.answered(Request.HOME, Request.PAUSE)  # home is not known yet
             exploration.control.wait_while_paused()
-            self._tracker.wait_until(self._can_begin, math.inf, self._stopped)
-            if not self._sight.is_wanted:
+            if not self._tracker.wait_until(self._can_begin, math.inf, self._stopped):
                 break
+            if not self._sight.is_wanted:
+                return None
             self._robot.in_odometry = True
             ending = find_target(exploration, self._sight, self._planner)
             self._robot.in_odometry = False
             if ending is not None:
                 return ending
-        return None
+        return STOPPED
 
     def _can_begin(self) -> bool:
         """Whether everything is there, or the search for the target can begin."""
@@ -224,8 +309,6 @@ class ExplorerNode(MonitoredNode):
 
     def _write_start(self) -> None:
         """Begin the log of the run, now that the robot is known."""
-        if self._stopped():
-            return
         names = ("width", "height", "fx", "fy", "cx", "cy")
         try:
             camera = self._tracker.calibrations[0].rectified_camera()

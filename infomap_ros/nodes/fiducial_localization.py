@@ -15,6 +15,7 @@ the target where there is one. With `resume` the map is kept, and the camera has
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -46,8 +47,9 @@ from infomap_ros.nodes.locating.localization_news import LocalizationNews
 from infomap_ros.nodes.locating.localization_warm_up import warm_up
 from infomap_ros.nodes.locating.odom_frame import MapFrameConfig
 from infomap_ros.nodes.locating.teammate_sight import TeammateSight
-from infomap_ros.nodes.locating.view_inputs import ViewInputs
 from infomap_ros.nodes.ranging.range_sources import depth_topics, stereo_topics
+from infomap_ros.nodes.robot.image_inputs import ImageInputs
+from infomap_ros.nodes.robot.posture_listener import PostureListener
 from infomap_ros.nodes.robot.robot_tracker import RobotTrackerConfig
 from infomap_ros.nodes.team.map_listener import MapListener, MapListenerConfig
 from infomap_ros.nodes.team.map_moves import (
@@ -60,15 +62,78 @@ from infomap_ros.nodes.team.team_identity import TeamIdentityConfig
 from infomap_ros.nodes.team.team_radio import TeamRadioConfig
 from infomap_ros.pipeline.camera_localizer import CameraLocalizer, CameraLocalizerConfig
 from infomap_ros.pipeline.image_synchronizer import ImageSet
+from infomap_ros.pipeline.perception import ImageSources
+from infomap_ros.pipeline.scan_synchronizer import CLOCK_JUMPED
 from infomap_ros.pipeline.view_estimator import (
     DepthViewEstimator,
     StereoViewEstimator,
     ViewEstimator,
 )
-from infomap_ros.pipeline.view_synchronizer import PosturedView
+from infomap_ros.pipeline.view_synchronizer import PosturedView, ViewSynchronizer
 from infomap_ros.stereo import DepthCameraConfig, StereoConfig
-from infomap_ros.team import TeamConfig
 from infomap_ros.team.agents_config import AgentBoardConfig
+from infomap_ros.team.config import TeamConfig
+
+
+class ViewInputs:
+    """Listens to images and to the robot's motion; see `ViewSynchronizer`.
+
+    Args:
+        node: has the configuration of the queue, and counts what is dropped.
+        topics: of the images.
+        on_view: gets each view, of which no image has been looked at yet.
+        on_clock_jump: told when the images' clock has jumped back.
+    """
+
+    def __init__(
+        self,
+        node: MonitoredNode,
+        topics: ImageSources,
+        on_view: Callable[[PosturedView[ImageSet]], None],
+        on_clock_jump: Callable[[], None],
+    ) -> None:
+        self._node, self._on_view, self._on_clock_jump = node, on_view, on_clock_jump
+        config = node.config(FiducialLocalizationConfig)
+        is_required = config.motion == "odometry"
+        self._motion = None
+        if config.motion != "none":
+            self._motion = PostureListener(node, self._on_motion, required=is_required)
+        self._views: ViewSynchronizer[ImageSet] = ViewSynchronizer(
+            self._motion,
+            is_required=is_required,
+            waiting=node.config(WaitingQueueConfig),
+            on_drop=self._on_drop,
+        )
+        self._images = ImageInputs(
+            node,
+            topics,
+            self._on_images,
+            config.pairing_tolerance,
+            config.queue_size,
+            lambda: None if self._motion is None else self._motion.newest_stamp,
+        )
+
+    def _on_motion(self) -> None:
+        self._images.ask_witness()
+        self._take()
+
+    def _on_images(self, images: ImageSet) -> None:
+        if self._motion is not None:
+            self._motion.look_from(images.frame_id)
+        if self._views.add(images):
+            self._node.get_logger().warning(CLOCK_JUMPED)
+            self._on_clock_jump()
+        self._take()
+
+    def _take(self) -> None:
+        for view in self._views.take():
+            self._on_view(view)
+
+    def _on_drop(self, reason: str, sentence: str) -> None:
+        if reason == CLOCK_JUMPED:
+            self._node.drop(reason)
+        else:
+            self._node.drop("no odometry or joints at the stamp", sentence)
 
 
 class FiducialLocalizationNode(MonitoredNode):

@@ -5,7 +5,7 @@ worker thread, which owns the map: it integrates, publishes, saves, loads and re
 in which it is told. So no lock is needed and no callback blocks.
 
 Localization corrects the poses of keyframes on keyframe_poses: scans follow, and the map is
-corrected (`infomap_ros.nodes.fusion.map_corrections`).
+corrected (`infomap_ros.nodes.map_fusion`).
 
 When the clock jumps back (a bag that loops), the map is kept, or reset where
 ``reset_on_clock_jump`` says so. What becomes of clouds and poses then says
@@ -15,34 +15,51 @@ When the clock jumps back (a bag that loops), the map is kept, or reset where
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
+import numpy as np
+from nav_msgs.msg import Path
+from nav_msgs.srv import GetMap
+from numpy.typing import NDArray
 from rclpy.clock import Clock, ClockType
 from sensor_msgs.msg import PointCloud2
 
-from infomap_ros.exploration.team.bodies_in_scan import BodyInScan
+from infomap_ros.errors import FrameError
 from infomap_ros.exploration.team.team_bodies import TeamBodiesConfig
+from infomap_ros.exploration.team.teammate_places import BodyInScan
 from infomap_ros.geometry.assumed_pose import AssumedPoseConfig
 from infomap_ros.geometry.config import check_config, parameter, setting
 from infomap_ros.geometry.joint_buffer import JointBufferConfig
 from infomap_ros.geometry.pose_buffer import PoseBufferConfig
+from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.geometry.waiting_queue import WaitingQueueConfig
 from infomap_ros.mapping import VoxelMapConfig
 from infomap_ros.mapping.correction.reintegration import ReintegrationConfig
 from infomap_ros.mapping.correction.scan_store import ScanStoreConfig
 from infomap_ros.mapping.files.projection import ProjectionConfig
 from infomap_ros.mapping.scans.body import BodyFilterConfig
+from infomap_ros.messages.keyframes import (
+    KeyframePoses,
+    decode_keyframe_covariances,
+    decode_keyframe_poses,
+)
+from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.common.lockstep import LockstepConfig
 from infomap_ros.nodes.common.memory import MemoryConfig, reserve_heap
-from infomap_ros.nodes.common.orders import offer_order
+from infomap_ros.nodes.common.message_types import message_class
+from infomap_ros.nodes.common.orders import offer_order, offer_service
 from infomap_ros.nodes.common.run import run_node
-from infomap_ros.nodes.fusion.map_corrections import MapCorrections
-from infomap_ros.nodes.fusion.map_keeper import MapKeeper, MapKeeperConfig
-from infomap_ros.nodes.fusion.map_outputs import MapOutputsConfig
-from infomap_ros.nodes.fusion.map_services import offer_map
+from infomap_ros.nodes.common.worker import Worker
+from infomap_ros.nodes.fusion.map_keeper import KEYFRAME_POSES, MapKeeper, MapKeeperConfig
+from infomap_ros.nodes.fusion.map_outputs import (
+    OCTOMAP_BINARY,
+    OCTOMAP_FULL,
+    PROJECTED_MAP,
+    MapOutputsConfig,
+)
 from infomap_ros.nodes.fusion.scan_inputs import ScanInputs
 from infomap_ros.nodes.robot.robot_body import RobotBodyConfig
 from infomap_ros.nodes.team.map_moves import listen_to_moves
@@ -50,8 +67,96 @@ from infomap_ros.nodes.team.team_bodies import TeamBodyConfig
 from infomap_ros.nodes.team.team_identity import TeamIdentityConfig
 from infomap_ros.nodes.team.team_radio import TeamRadioConfig
 from infomap_ros.pipeline.scan_synchronizer import Scan, ScanSynchronizerConfig
-from infomap_ros.team import TeamConfig
+from infomap_ros.pipeline.stamped_parts import StampedParts
 from infomap_ros.team.agents_config import AgentBoardConfig
+from infomap_ros.team.config import TeamConfig
+
+
+def offer_map(node: MonitoredNode, keeper: MapKeeper, worker: Worker) -> None:
+    """Offer the services; those of octomap_msgs where that is installed.
+
+    Args:
+        node: that offers them.
+        keeper: of the map.
+        worker: whose thread owns the map.
+    """
+
+    def give(topic: str, _: Any, response: Any) -> None:
+        response.map = keeper.picture(topic)
+
+    def clear(request: Any, _: Any) -> None:
+        corners = ((corner.x, corner.y, corner.z) for corner in (request.min, request.max))
+        node.get_logger().info(keeper.clear_region(*corners))
+
+    offer_service(node, GetMap, PROJECTED_MAP, worker, partial(give, PROJECTED_MAP))
+    if not keeper.has_octomap:
+        return
+    for topic in (OCTOMAP_BINARY, OCTOMAP_FULL):
+        kind = message_class("octomap_msgs/srv/GetOctomap")
+        offer_service(node, kind, topic, worker, partial(give, topic))
+    query = message_class("octomap_msgs/srv/BoundingBoxQuery")
+    offer_service(node, query, "~/clear_region", worker, clear)
+
+
+# map_fusion hears of corrected camera poses, and puts its scans where they belong.
+#
+# The work is cut into jobs of about one scan, so that new scans are integrated in between and the
+# map is served as it was until the corrected one is complete.
+
+_COVARIANCES = "keyframe_covariances"
+_Covariances = tuple[int, NDArray[np.int64], FloatArray]  # origin, stamps, covariances of keyframes
+
+
+class MapCorrections:
+    """Listens to keyframe_poses and has the worker correct the map.
+
+    Covariances come beside the poses, with the same stamp, and poses wait for them.
+
+    Args:
+        node: that listens.
+        keeper: of the map.
+        worker: whose thread owns the map.
+    """
+
+    def __init__(self, node: MonitoredNode, keeper: MapKeeper, worker: Worker) -> None:
+        self._node, self._keeper, self._worker = node, keeper, worker
+        self._frame = node.config(ScanSynchronizerConfig).map_frame
+        topic = node.resolve_topic_name(_COVARIANCES)
+        self._parts: StampedParts[KeyframePoses, _Covariances] = StampedParts(
+            lambda: node.count_publishers(topic) > 0
+        )
+        stream = qos.stream()
+        node.listen(PointCloud2, _COVARIANCES, self._on_covariances, stream, required=False)
+        node.listen(Path, KEYFRAME_POSES, self._on_poses, stream, required=False)
+
+    def _on_covariances(self, message: PointCloud2) -> None:
+        stamp, origin, stamps, covariances = decode_keyframe_covariances(message)
+        self._hand_over(self._parts.add_part(stamp, (origin, stamps, covariances)))
+
+    def _on_poses(self, message: Path) -> None:
+        poses = decode_keyframe_poses(message)
+        if poses.frame_id != self._frame:
+            raise FrameError(f"poses in frame '{poses.frame_id}', the map is '{self._frame}'")
+        self._hand_over(self._parts.add(poses.stamp, poses))
+
+    def _hand_over(self, complete: list[tuple[KeyframePoses, _Covariances | None]]) -> None:
+        for poses, told in complete:
+            if told is not None and np.array_equal(told[1], poses.stamps):
+                poses = replace(poses, origin=told[0], covariances=told[2])
+            correct = partial(self._node.guard, KEYFRAME_POSES, partial(self._correct, poses))
+            self._worker.submit_always(correct)
+
+    def _correct(self, poses: KeyframePoses) -> None:
+        was_correcting = self._keeper.is_correcting
+        self._keeper.add_keyframes(poses)
+        if self._keeper.is_correcting and not was_correcting:
+            self._worker.submit_always(self._correct_more)
+
+    def _correct_more(self) -> None:
+        self._node.guard(KEYFRAME_POSES, self._keeper.correct_more)
+        if self._keeper.is_correcting:
+            self._worker.submit_always(self._correct_more)
+
 
 _REPEAT_PERIOD = 0.1  # [s]
 

@@ -11,30 +11,49 @@ of the others: it leaves to them what they are about to see, and keeps clear of 
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.clock import Clock, ClockType
+from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Empty
-from visualization_msgs.msg import MarkerArray
+from visualization_msgs.msg import Marker, MarkerArray
 
-from infomap_ros.errors import ExplorationError, InfomapError
+from infomap_ros.errors import (
+    ExplorationError,
+    FrameError,
+    InfomapError,
+    InvalidInputError,
+    MalformedMessageError,
+)
 from infomap_ros.exploration.fiducial_error import FiducialLocalizationError
 from infomap_ros.exploration.records.choice_text import choice_to_text
 from infomap_ros.exploration.robot import Choice, FailedView, KnownPlace, RobotState
+from infomap_ros.exploration.target.target_search import TargetSearchPlanner
 from infomap_ros.exploration.task import TaskConfig
 from infomap_ros.exploration.team.team_planner import TeamPlanner
 from infomap_ros.exploration.view_planner import Surrounding, ViewPlanner, ViewPlannerConfig
-from infomap_ros.geometry import rig_from_calibrations
+from infomap_ros.geometry import (
+    Box,
+    CameraCalibration,
+    PlacedSolid,
+    Sphere,
+    StereoRig,
+    rig_from_calibrations,
+)
 from infomap_ros.geometry.assumed_pose import AssumedPoseConfig
+from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.joint_buffer import JointBufferConfig
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.localization.dead_reckoning import DeadReckoningConfig
+from infomap_ros.localization.filter.records import Fiducials
 from infomap_ros.localization.prediction.error_prediction import ErrorPredictionConfig
 from infomap_ros.localization.target.search import TargetSearchConfig
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.mapping.files.projection import ProjectedGrid
+from infomap_ros.messages.fiducials import decode_fiducials
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.common.compiling import prepare_kernels
@@ -42,23 +61,166 @@ from infomap_ros.nodes.common.lockstep import LockstepConfig
 from infomap_ros.nodes.common.orders import offer_order
 from infomap_ros.nodes.common.run import run_node
 from infomap_ros.nodes.planning.exploration_status import ExplorationNews, read_status
-from infomap_ros.nodes.planning.fiducial_listener import FiducialListener
-from infomap_ros.nodes.planning.interests import Interests
 from infomap_ros.nodes.planning.keep_out_listener import KeepOutListener
+from infomap_ros.nodes.planning.marker_set import MARKER, MarkerSet, pose_of
 from infomap_ros.nodes.planning.plan_outputs import PlanOutputs
 from infomap_ros.nodes.planning.plan_warm_up import warm_up
 from infomap_ros.nodes.planning.route_status import WORKING, RouteStatusPublisher
-from infomap_ros.nodes.planning.search_plans import SearchPlans
 from infomap_ros.nodes.planning.traversability_map import TraversabilityMap
 from infomap_ros.nodes.robot.robot_tracker import RobotTracker, RobotTrackerConfig
 from infomap_ros.nodes.team.map_listener import MapListener, MapListenerConfig
 from infomap_ros.nodes.team.team_agents import TeamAgents
 from infomap_ros.nodes.team.team_identity import TeamIdentityConfig
 from infomap_ros.nodes.team.team_radio import TeamRadioConfig
-from infomap_ros.team import TeamConfig
+from infomap_ros.stereo import DepthCameraConfig
 from infomap_ros.team.agents_config import AgentsConfig
+from infomap_ros.team.config import TeamConfig
+from infomap_ros.views.information.information_config import DISPARITY_SIGMA
 from infomap_ros.views.information.view_information import ExpectedInformation
 from infomap_ros.views.ranking.strategies import make_strategy
+from infomap_ros.views.situation import Interest
+
+
+class Interests(MarkerSet[Interest]):
+    """The places that are of interest now; markers add, replace and delete them.
+
+    A marker is a CUBE or a SPHERE (of its smallest diameter); its weight, the factor by which the
+    information inside counts, is the number in its text.
+
+    Args:
+        map_frame: frame in which the markers must be.
+    """
+
+    def __init__(self, map_frame: str) -> None:
+        super().__init__(map_frame, _place, "interest")
+
+
+def _place(marker: Any) -> Interest:
+    sides = (marker.scale.x, marker.scale.y, marker.scale.z)
+    try:
+        solid = _solid(marker.type, sides)
+        placed = PlacedSolid(solid, pose_of(marker), f"{marker.ns}/{marker.id}")
+        return Interest(placed, float(marker.text))
+    except (InvalidInputError, ValueError) as error:
+        raise MalformedMessageError(MARKER, f"{marker.ns}/{marker.id}: {error}") from error
+
+
+def _solid(kind: int, sides: tuple[float, float, float]) -> Box | Sphere:
+    if kind == Marker.CUBE:
+        return Box(sides)
+    if kind == Marker.SPHERE:
+        return Sphere(0.5 * min(sides))
+    raise ValueError(f"type {kind}, expected CUBE or SPHERE")
+
+
+@dataclass(frozen=True)
+class PlannedCameraConfig:
+    """The camera whose views are planned.
+
+    Raises:
+        ConfigError: a value is out of its range.
+    """
+
+    source: str = parameter(
+        "stereo",
+        "A pair of cameras (left/camera_info and right/camera_info), or a depth camera "
+        "(depth/camera_info).",
+        choices=("stereo", "depth"),
+    )
+    depth_noise: float = parameter(
+        DepthCameraConfig.sigma_quadratic,
+        "With source depth: growth of its noise with the square of the depth, as "
+        "depth_camera.sigma_quadratic of stereo_range.",
+        unit="1/m",
+        low=1e-6,
+        high=1.0,
+    )
+
+    def __post_init__(self) -> None:
+        check_config(self)
+
+    @property
+    def infos(self) -> tuple[str, ...]:
+        """Topics of the camera infos."""
+        pair = ("left/camera_info", "right/camera_info")
+        return pair if self.source == "stereo" else ("depth/camera_info",)
+
+    def rig(self, calibrations: tuple[CameraCalibration, ...]) -> StereoRig:
+        """The pair, or one as noisy as the depth camera is.
+
+        Args:
+            calibrations: those of `infos`.
+
+        Raises:
+            CalibrationError: they cannot be.
+        """
+        if self.source == "stereo":
+            return rig_from_calibrations(*calibrations)
+        camera = calibrations[0].rectified_camera()
+        return StereoRig(camera, camera, DISPARITY_SIGMA / (camera.fx * self.depth_noise))
+
+
+class SearchPlans:
+    """Plans look after look; used by the worker thread. A new robot begins the search anew.
+
+    Args:
+        node: has the configurations of planner and search.
+        tracker: knows the robot, its cameras, and where odometry has it.
+    """
+
+    def __init__(self, node: MonitoredNode, tracker: RobotTracker) -> None:
+        self._node, self._tracker = node, tracker
+        self._planner: TargetSearchPlanner | None = None
+
+    def plan(self) -> str:
+        """The next look as text, pose and ways in the frame of odometry; nothing is published.
+
+        What the camera sees from where it is counts as looked at in vain.
+
+        Raises:
+            InfomapError: something that is needed has not arrived.
+        """
+        robot, state = self._tracker.robot, self._tracker.state_in_odometry()
+        if self._planner is None or self._planner.robot is not robot:
+            seen_by = self._node.config(PlannedCameraConfig)
+            camera = seen_by.rig(self._tracker.calibrations).left
+            configs = self._node.config(ViewPlannerConfig), self._node.config(TargetSearchConfig)
+            self._planner = TargetSearchPlanner(robot, camera, *configs)
+        choice = self._planner.choose(state)
+        self._node.get_logger().info(choice.reason)
+        return choice_to_text(choice)
+
+
+_TOPIC = "fiducials"
+
+
+class FiducialListener:
+    """Keeps the newest fiducials. A callback of the node writes, any thread reads.
+
+    Args:
+        node: that listens; has a `RobotTrackerConfig`.
+    """
+
+    def __init__(self, node: MonitoredNode) -> None:
+        self._frame = node.config(RobotTrackerConfig).map_frame
+        self._newest: Fiducials | None = None
+        node.listen(PointCloud2, _TOPIC, self._receive, qos.latched(), required=False)
+
+    def fiducials(self) -> Fiducials | None:
+        """What was published last; None before the first message."""
+        return self._newest
+
+    def _receive(self, message: PointCloud2) -> None:
+        """Replace what is known.
+
+        Raises:
+            InfomapError: the message cannot be used; what was known stays.
+        """
+        _, frame, fiducials = decode_fiducials(message)
+        if frame != self._frame:
+            raise FrameError(f"fiducials in frame '{frame}', the map is '{self._frame}'")
+        self._newest = fiducials
+
 
 _AT_REST = ("ended", "paused")  # states in which an exploration heads for nothing
 
@@ -67,6 +229,7 @@ class NextBestViewNode(MonitoredNode):
     """See the module."""
 
     CONFIGS = (
+        (PlannedCameraConfig, ""),
         (MapListenerConfig, ""),
         (TeamIdentityConfig, ""),
         (TeamConfig, "team_map."),
@@ -89,7 +252,8 @@ class NextBestViewNode(MonitoredNode):
         super().__init__("next_best_view", **node_arguments)
         planning = partial(warm_up, self.config(ViewPlannerConfig))
         prepare_kernels(self, planning, seconds=150.0)
-        self._tracker = RobotTracker(self)
+        self._camera = self.config(PlannedCameraConfig)
+        self._tracker = RobotTracker(self, self._camera.infos)
         self._fiducials = FiducialListener(self)
         map_frame = self.config(RobotTrackerConfig).map_frame
         self._interests = Interests(map_frame)
@@ -167,7 +331,7 @@ class NextBestViewNode(MonitoredNode):
             InfomapError: something that is needed has not arrived.
         """
         planner, voxel_map, state = self._ready()
-        return planner.planner.traversability(voxel_map, state)
+        return planner.planner.motion.traversability(voxel_map, state)
 
     def _plan_way(self, place: KnownPlace) -> str:
         """Plan the way to where the robot has stood, which exploration_status tells.
@@ -206,10 +370,11 @@ class NextBestViewNode(MonitoredNode):
         self._is_checking = False
         if self._planner is None or self._target is None:
             return
-        self._planner.planner.forbid(self._keep_out.current())
+        self._planner.planner.motion.keep_out = self._keep_out.current()
         try:
             state, voxel_map = self._tracker.state(), self._map.voxel_map()
-            self._route_status.report(self._planner.route_problem(voxel_map, state))
+            problem = self._planner.planner.motion.route_problem(voxel_map, state)
+            self._route_status.report(problem)
         except InfomapError:  # such as a pose that is too old: checked again when it is there
             return
 
@@ -225,7 +390,7 @@ class NextBestViewNode(MonitoredNode):
 
     def _warn_where_it_stands(self) -> None:
         """Warn of a base that stands where it must not."""
-        where = "" if self._planner is None else self._planner.planner.stands_wrongly
+        where = "" if self._planner is None else self._planner.planner.motion.stands_wrongly
         if where:
             self.get_logger().warning(f"the base stands {where}: its next drive leads out first")
 
@@ -242,7 +407,7 @@ class NextBestViewNode(MonitoredNode):
             self._planner.planner.reconfigure(task, config)
         self._settings = settings
         if self._planner is None or self._planner.planner.robot is not robot:
-            rig = rig_from_calibrations(*self._tracker.calibrations)
+            rig = self._camera.rig(self._tracker.calibrations)
             self._error = FiducialLocalizationError(
                 rig,
                 self._fiducials.fiducials,
@@ -251,7 +416,7 @@ class NextBestViewNode(MonitoredNode):
             )
             alone = ViewPlanner(robot, rig, task, config, self._error)
             self._planner = TeamPlanner(alone, self._agents.team, self._agents.announce)
-        self._planner.planner.forbid(self._keep_out.current())
+        self._planner.planner.motion.keep_out = self._keep_out.current()
         return self._planner, voxel_map, state
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from infomap_ros.errors import FrameError, InvalidInputError
-from infomap_ros.exploration.team.bodies_in_scan import BodyInScan, on_bodies
+from infomap_ros.exploration.team.teammate_places import BodyInScan, on_bodies
 from infomap_ros.geometry import (
     Box,
     PlacedSolid,

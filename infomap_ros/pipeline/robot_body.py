@@ -7,7 +7,7 @@ from collections.abc import Callable
 from infomap_ros.errors import RobotModelError
 from infomap_ros.geometry import JointStateRecord, PlacedSolid
 from infomap_ros.geometry.joint_buffer import JointBuffer, JointBufferConfig
-from infomap_ros.motion import RobotModel
+from infomap_ros.motion.robot.robot_model import RobotModel
 from infomap_ros.pipeline.clock_jumps import JumpingBuffer
 
 

@@ -18,7 +18,7 @@ from infomap_ros.geometry.records import JointStateRecord
 from infomap_ros.geometry.transform_tree import TransformTree
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.localization.filter.motion_prior import RobotPosture
-from infomap_ros.motion import RobotModel
+from infomap_ros.motion.robot.robot_model import RobotModel
 
 
 class RobotMotion:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from typing import Generic, NamedTuple, Protocol, TypeVar
 
 from infomap_ros.errors import FrameError, RobotModelError
-from infomap_ros.exploration.team.bodies_in_scan import BodyInScan
+from infomap_ros.exploration.team.teammate_places import BodyInScan
 from infomap_ros.geometry import PlacedSolid, PoseRecord, PoseUncertainty, Record
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.pose_buffer import PoseBuffer, PoseBufferConfig

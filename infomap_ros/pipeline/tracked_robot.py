@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
+from dataclasses import replace
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from infomap_ros.errors import PoseUnavailableError
+from infomap_ros.errors import InfomapError, PoseUnavailableError
 from infomap_ros.exploration.robot import RobotState
 from infomap_ros.geometry import (
     JointStateRecord,
@@ -16,9 +19,161 @@ from infomap_ros.geometry import (
 )
 from infomap_ros.geometry.assumed_pose import AssumedPoseConfig
 from infomap_ros.geometry.joint_buffer import JointBuffer, JointBufferConfig
-from infomap_ros.motion import RobotModel
-from infomap_ros.pipeline.carried_pose import CarriedPose
-from infomap_ros.pipeline.last_pose import LastPose
+from infomap_ros.localization.filter.motion_prior import KinematicMotion, MotionPrior, RobotPosture
+from infomap_ros.motion.robot.robot_model import RobotModel
+from infomap_ros.pipeline.robot_motion import RobotMotion
+
+
+class CarriedPose:
+    """Carries a pose on to the newest odometry; its covariance grows on the way.
+
+    Poses of the camera come once per pair and late; odometry comes often. And where the camera is
+    lost, the robot is still where its wheels have taken it.
+
+    Args:
+        camera_frame: optical frame of the camera.
+        robot: its description.
+    """
+
+    def __init__(self, camera_frame: str, robot: RobotModel) -> None:
+        self._motion = RobotMotion(camera_frame, robot)
+        self._noise = KinematicMotion()
+        self._odometry = self._joints = -1
+
+    def add_joints(self, record: JointStateRecord) -> None:
+        """Take a joint state."""
+        self._motion.add(record)
+        self._joints = record.stamp
+
+    def add_odometry(self, record: OdometryRecord) -> None:
+        """Take odometry.
+
+        Raises:
+            FrameError: it is of other frames than before.
+        """
+        self._motion.add(record)
+        self._odometry = record.stamp
+
+    @property
+    def odom_frame(self) -> str:
+        """Frame of odometry, empty before any has come."""
+        return self._motion.odom_frame
+
+    @property
+    def newest_stamp(self) -> int:
+        """Newest time for which odometry and joints are known [ns]; -1 before."""
+        return min(self._odometry, self._joints)
+
+    def posture(self, stamp: int) -> RobotPosture:
+        """Base and camera at a time.
+
+        Args:
+            stamp: [ns].
+
+        Raises:
+            PoseUnavailableError: odometry or joints are not known at that time.
+            RobotModelError: a joint is never published.
+        """
+        return self._motion.posture(stamp)
+
+    def carry(self, pose: PoseRecord, start: RobotPosture) -> PoseRecord:
+        """The pose of the camera at the newest time for which odometry and joints are known.
+
+        Args:
+            pose: of the camera, with covariance.
+            start: posture of the robot then.
+
+        Returns:
+            The later pose; the same one where odometry does not tell of the time since then.
+        """
+        newest = self.newest_stamp
+        if newest <= pose.stamp or pose.covariance is None:
+            return pose
+        try:
+            posture = self._motion.posture(newest)
+        except InfomapError:
+            return pose
+        here = MotionPrior(pose.transform, pose.covariance).then(self._noise.since(start, posture))
+        return PoseRecord(newest, pose.frame_id, here.T_before_after, here.covariance)
+
+
+_MOST_WAITING = 50
+
+
+class LastPose:
+    """Remembers the newest pose with the joints and the posture of the robot at its stamp.
+
+    Buffers of joints and odometry forget after some time; a camera that is lost for longer still
+    has its last pose to be carried on from.
+
+    Args:
+        joints: is filled by the owner, who calls `settle` when it has been.
+        assumed: covariance of poses that have none.
+
+    Attributes:
+        needed: joints that must be known at the stamp of a pose.
+    """
+
+    def __init__(self, joints: JointBuffer, assumed: AssumedPoseConfig) -> None:
+        self._joints, self._assumed = joints, assumed
+        self.needed: Collection[str] = ()
+        self._waiting: list[PoseRecord] = []  # later than the known one; joints are missing
+        self._known: tuple[PoseRecord, dict[str, float]] | None = None
+        self._start: RobotPosture | None = None
+        self._newest: int | None = None
+
+    @property
+    def newest_stamp(self) -> int | None:
+        """Stamp of the newest pose [ns], whether or not joints are known then; None before."""
+        return self._newest
+
+    def add(self, pose: PoseRecord) -> None:
+        """Take a pose; one that is older than the newest says that the clock was set back."""
+        if self._newest is not None and pose.stamp < self._newest:
+            self._waiting.clear()
+            self._known = self._start = None
+        self._newest = pose.stamp
+        covariance = self._assumed.covariance() if pose.covariance is None else pose.covariance
+        self._waiting = [*self._waiting[1 - _MOST_WAITING :], replace(pose, covariance=covariance)]
+
+    def settle(self, carried: CarriedPose | None) -> None:
+        """Find out where joints and odometry were at the newest pose, now that more are known."""
+        for number in reversed(range(len(self._waiting))):
+            try:
+                joints = self._joints.at(self._waiting[number].stamp, self.needed)
+            except PoseUnavailableError:
+                continue
+            self._known, self._start = (self._waiting[number], joints), None
+            del self._waiting[: number + 1]
+            break
+        if self._known is not None and self._start is None and carried is not None:
+            self._start = _posture(carried, self._known[0].stamp)
+
+    def now(self, carried: CarriedPose | None) -> tuple[PoseRecord, dict[str, float]]:
+        """Pose and joints of now, or as they were told where odometry does not tell.
+
+        Raises:
+            PoseUnavailableError: there has been no pose at which the joints are known.
+        """
+        if self._known is None:
+            if not self._waiting:
+                raise PoseUnavailableError("no camera_pose has arrived yet")
+            newest = self._waiting[-1]
+            return newest, self._joints.at(
+                newest.stamp, self.needed
+            )  # or an error that says what is missing
+        pose, joints = self._known
+        if carried is None or self._start is None:
+            return pose, joints
+        here = carried.carry(pose, self._start)
+        return (pose, joints) if here is pose else (here, self._joints.at(here.stamp, self.needed))
+
+
+def _posture(carried: CarriedPose, stamp: int) -> RobotPosture | None:
+    try:
+        return carried.posture(stamp)
+    except InfomapError:
+        return None
 
 
 class TrackedRobot:

@@ -102,7 +102,10 @@ class DepthViewEstimator:
             InfomapError: images or calibrations cannot be used.
         """
         if len(images.images) < 2:
-            raise BagError("a depth camera without a registered image cannot be followed")
+            raise BagError(
+                "a depth camera without a registered image cannot be followed: poses are needed "
+                "(a topic, or of a folder poses.txt, lines of t x y z qx qy qz qw)"
+            )
         measurement = self._depth.measure(replace(images, images=images.images[:1]))
         view = DepthView(measurement.stamp, intensity_pixels(images.images[1]), measurement.cloud)
         return FramedView(measurement.stamp, measurement.frame_id, view, measurement)

@@ -88,8 +88,9 @@ def map_bag(
 
     Args:
         path: rosbag2 folder or file, ROS 1 bag, or folder of images.
-        voxel_size: edge of a voxel [m]; that of the options where not given.
-        max_range: farthest mapped point [m]; that of the options where not given.
+        voxel_size: edge of a voxel [m]; where neither size is given, those of the options, or
+            larger ones where the scene is large (``input.fit_scene``).
+        max_range: farthest mapped point [m].
         calibration: of a folder of images; one file, or the left and the right camera's.
         options: all settings; the defaults where not given.
         out: folder for the files that the command writes; nothing is written where not given.
@@ -102,7 +103,9 @@ def map_bag(
     options = options or MapOptions()
     sizes = {"voxel_size": voxel_size, "max_range": max_range}
     given: dict[str, Any] = {name: value for name, value in sizes.items() if value is not None}
-    options = replace(options, map=replace(options.map, **given))
+    if given:
+        chosen = replace(options.input, fit_scene=False)
+        options = replace(options, map=replace(options.map, **given), input=chosen)
     with open_recording(path, _files(calibration)) as recording:
         run = MapRun(recording, options)
         run.run()

@@ -13,8 +13,8 @@ from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry import CameraCalibration
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.localization.target.tag_board import TagBoardConfig
-from infomap_ros.motion import RobotModel
-from infomap_ros.motion.robot.mimicry import Follower, read_followers
+from infomap_ros.motion.robot.robot_model import RobotModel
+from infomap_ros.motion.robot.urdf import Follower, read_followers
 from infomap_ros.simulation.body.arm_motion import ArmMotion
 from infomap_ros.simulation.body.base_motion import BaseMotion
 from infomap_ros.simulation.body.contacts import ContactEvent, ContactMonitor

@@ -67,7 +67,7 @@ class StereoConfig:
         low=1,
         high=100,
     )
-    speckle_size: int = setting(
+    speckle_size: int = parameter(
         100,
         "Smaller connected patches of disparity are dropped; 0 keeps all.",
         unit="px",
@@ -106,7 +106,7 @@ class StereoConfig:
         low=0.0,
         high=100.0,
     )
-    min_texture: float = setting(
+    min_texture: float = parameter(
         0.3,
         "Pixels whose neighborhood has a smaller horizontal gradient (rms) are dropped.",
         unit="gray levels/px",

@@ -7,6 +7,10 @@ across the ray, with a term that grows hyperbolically towards grazing incidence;
 growth is derived by Khoshelham and Elberink (2012, DOI 10.3390/s120201437). For time of flight
 use a small quadratic part. The defaults are Nguyen's, and his grazing term is applied with the
 slope of the depth image.
+
+By REP 117 a depth of +inf says that nothing is within the camera's range, -inf that something is
+too near, NaN nothing. Where +inf is, the cloud has a point far beyond the range of any map, which
+frees space as other points beyond a map's range do; `range_image` has none.
 """
 
 from __future__ import annotations
@@ -28,6 +32,8 @@ from infomap_ros.stereo.images import check_image, check_size
 from infomap_ros.stereo.range_cloud import RangeCloud, mark_correlation
 
 _MILLIMETER = np.float32(1e-3)
+_BEYOND = np.float32(2000.0)  # depth of what has no return [m]: twice the largest range of a map
+_BEYOND_VARIANCE = np.float32(4e4)  # a tenth of that, squared [m^2]
 
 
 @dataclass(frozen=True)
@@ -123,8 +129,9 @@ class DepthCameraSensor:
         """Convert a depth image.
 
         Args:
-            depth: z of every pixel, shape (H, W): float32 or float64 [m], NaN, 0 or infinity
-                where not measured; or uint16 [mm], 0 where not measured.
+            depth: z of every pixel, shape (H, W): float32 or float64 [m], NaN, 0 or -inf
+                where not measured, +inf where nothing is within range; or uint16 [mm], 0 where
+                not measured.
             color: image registered to the depth image, shape (H, W) or (H, W, 3) RGB, uint8.
 
         Returns:
@@ -140,7 +147,10 @@ class DepthCameraSensor:
         else:
             image = check_image(color, self.camera, "color image")
         kept, variance = self._noise(meters)
+        is_beyond = kept == _BEYOND
+        variance[is_beyond] = _BEYOND_VARIANCE
         packed = assemble(self.camera, kept, variance, self.config.pixel_sigma, image, self._bands)
+        kept[is_beyond] = np.nan
         return RangeCloud(
             camera=self.camera,
             packed=mark_correlation(packed, self.config.error_correlation),
@@ -150,7 +160,7 @@ class DepthCameraSensor:
         )
 
     def _meters(self, depth: ArrayLike) -> NDArray[np.float32]:
-        """Depth in m, shape (H, W), 0 where there is none or it is out of range."""
+        """Depth in m, shape (H, W): 0 where there is none or it is out of range, or `_BEYOND`."""
         values = np.asarray(depth)
         if values.ndim != 2:
             raise InvalidInputError("depth image", f"shape {values.shape}, expected (H, W)")
@@ -164,7 +174,9 @@ class DepthCameraSensor:
                 "depth image", f"dtype {values.dtype}, expected float32 [m] or uint16 [mm]"
             )
         good = (meters >= self.config.min_depth) & (meters <= self.config.max_depth)
-        return np.where(good, meters, np.float32(0.0)).astype(np.float32)
+        kept = np.where(good, meters, np.float32(0.0)).astype(np.float32)
+        kept[meters == np.inf] = _BEYOND
+        return kept
 
     def _noise(self, depth: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Depth with edges dropped (NaN) and its variance [m^2], both shape (H, W)."""

@@ -63,7 +63,7 @@ def refine(
         invalid: value of pixels without a match.
         window: side of the photometric window, odd [px].
         smoothing: side of the window over which refined disparities are averaged [px]. Right
-            where `filters.edge_free` holds for a window at least as large, as `StereoConfig`
+            where `sensor.edge_free` holds for a window at least as large, as `StereoConfig`
             demands.
         bands: threads to work in.
     """

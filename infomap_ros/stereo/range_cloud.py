@@ -40,7 +40,8 @@ class RangeCloud:
         packed: shape (H, W, 10), float32, channels `PACKED_FIELDS`: point [m], color (bytes
             B, G, R of a little-endian float as in PCL, and `CORRELATION_FIELD` as the fourth),
             upper triangle of the covariance [m^2]. Point and covariance are NaN where nothing was
-            measured.
+            measured. A depth camera that sees nothing within its range has a point there far beyond
+            the range of any map.
         range_image: depth z, shape (H, W), float32 [m]; NaN where nothing was measured.
         error_correlation: mean correlation between the range errors of two pixels of one
             surface patch (about 5 to 15 px apart), 0 to 1. Averaging n such pixels reduces the

@@ -17,7 +17,7 @@ from infomap_ros.geometry import (
 )
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.localization import FiducialObservations
+from infomap_ros.localization.fiducials.observations import FiducialObservations
 
 CAMERA = PinholeCamera(640, 480, 500.0, 500.0, 319.5, 239.5)
 _CANDIDATES = 12  # places of which a new fiducial takes that farthest from the others

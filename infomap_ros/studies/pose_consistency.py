@@ -27,13 +27,11 @@ from infomap_ros.geometry import (
 )
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.localization import (
-    FiducialFilter,
-    FiducialObservations,
-    FilterUpdate,
-    MotionPrior,
-    free_motion,
-)
+from infomap_ros.localization.fiducials.observations import FiducialObservations
+from infomap_ros.localization.filter.fiducial_filter import FiducialFilter
+from infomap_ros.localization.filter.free_motion import free_motion
+from infomap_ros.localization.filter.motion_prior import MotionPrior
+from infomap_ros.localization.filter.records import FilterUpdate
 from infomap_ros.studies.common.tables import markdown
 
 CONFIDENCE = 0.95

@@ -11,7 +11,6 @@ smaller id holds; no clocks are compared.
 
 from __future__ import annotations
 
-import hashlib
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -128,11 +127,6 @@ class Agent:
     def reach(self) -> float:
         """How far its body may be from where it says its axis is, by three sigmas [m]."""
         return self.radius + _SIGMAS * self.position_sigma
-
-
-def hash_of_description(text: str) -> str:
-    """SHA-256 of a robot_description in UTF-8, as 64 hexadecimal digits."""
-    return hashlib.sha256(text.encode("utf-8", "surrogatepass")).hexdigest()
 
 
 def knows(mate: Agent, robot: int, claim: int) -> bool:

@@ -7,7 +7,6 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from infomap_ros.exploration.records.log_parsing import parse_record
 from infomap_ros.exploration.records.log_records import (
     Candidate,
     Decision,
@@ -16,13 +15,14 @@ from infomap_ros.exploration.records.log_records import (
     Motion,
     Progress,
     Start,
+    rating_text,
 )
-from infomap_ros.exploration.records.rating_text import rating_text
+from infomap_ros.exploration.records.recorded_run import parse_record
 from infomap_ros.exploration.reports.report_page.scene import BASE_ACTIONS, COLOR_MAPS
 from infomap_ros.exploration.robot import RobotState
 from infomap_ros.geometry import PinholeCamera
 from infomap_ros.mapping import VoxelMap
-from infomap_ros.motion import RobotModel
+from infomap_ros.motion.robot.robot_model import RobotModel
 from infomap_ros.viewer.colors import REJECTED, colored
 from infomap_ros.viewer.live_page import LivePage
 from infomap_ros.viewer.run_panel import map_figures
@@ -63,8 +63,7 @@ class ExplorationDisplay:
             self._page.robot.show(self._robot.model, state.T_map_base, state.joints)
             self._page.robot.show_camera(state.T_map_camera, self._log.camera)
         known = self._map.known_voxels
-        is_last = entry["kind"] == "end"
-        if known and known != self._drawn and (self._page.is_watched or is_last):
+        if known and known != self._drawn:  # also unwatched: who opens the page later sees it
             self._page.map.show(self._map)
             self._drawn = known
 
@@ -112,10 +111,10 @@ class LogDisplay:
 
 def figures_of(progress: Progress) -> dict[str, str]:
     """How far a run is, as a page tells it."""
-    figures = {"views": str(progress.views), "way": f"{progress.distance:.1f} m"}
+    figures = {"views": str(progress.views), "distance": f"{progress.distance:.1f} m"}
     figures |= map_figures(progress.known_fraction, progress.precise_fraction, progress.mean_sigma)
     figures["surface"] = f"{progress.surface_voxels:,} voxels"
-    figures["left to know"] = f"{progress.entropy_bits:,.0f} bits"
+    figures["remaining entropy"] = f"{progress.entropy_bits:,.0f} bits"
     return figures
 
 

@@ -1,19 +1,79 @@
-"""A choice and its explanation."""
+"""A choice and its explanation, and what is asked of the robot for it: can a view be reached?"""
 
 from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from textwrap import shorten
 from time import perf_counter
+from typing import Protocol
 
 import numpy as np
 
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.views.reach import ReachResult
+
+
+class ReachResult(Protocol):
+    """How a view is reached, or why it is not.
+
+    Attributes:
+        reason: empty where it can be reached, else a short sentence.
+        travel: length of the base's path [m].
+        route: the motion itself, for whoever executes it; not looked into here.
+        partial: the route ends at the farthest safe approach, not at the view.
+        seconds: time that the motion takes [s]; NaN where that is not known.
+    """
+
+    @property
+    def reason(self) -> str: ...  # noqa: D102
+    @property
+    def travel(self) -> float: ...  # noqa: D102
+    @property
+    def route(self) -> object | None: ...  # noqa: D102
+    @property
+    def partial(self) -> bool: ...  # noqa: D102
+    @property
+    def seconds(self) -> float: ...  # noqa: D102
+
+
+class Reachability(Protocol):
+    """A robot that can be asked which views it reaches."""
+
+    def may_reach(self, poses: FloatArray) -> Sequence[str]:
+        """Cheap test of many views, ``T_map_camera`` (M, 4, 4): "" or the reason against each."""
+
+    def reach(self, T_map_camera: FloatArray) -> ReachResult:
+        """Plan the motion to one view, shape (4, 4)."""
+
+
+@dataclass(frozen=True)
+class Flight:
+    """The `ReachResult` of a camera that flies."""
+
+    reason: str = ""
+    travel: float = 0.0
+    route: object | None = None
+    partial: bool = False
+    seconds: float = float("nan")
+
+
+class FlyingCamera:
+    """A camera without a body: it reaches every view that the map allows, as in Figs. 10 to 12."""
+
+    def __init__(self, T_map_camera: FloatArray) -> None:
+        """Start at a pose, shape (4, 4)."""
+        self._position = np.array(T_map_camera[:3, 3])
+
+    def may_reach(self, poses: FloatArray) -> Sequence[str]:
+        """Nothing speaks against any view, shape (M, 4, 4)."""
+        return [""] * len(poses)
+
+    def reach(self, T_map_camera: FloatArray) -> Flight:
+        """Fly straight there, shape (4, 4)."""
+        return Flight(travel=float(np.linalg.norm(T_map_camera[:3, 3] - self._position)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,6 +164,9 @@ def why_this(
 ) -> str:
     """Say what speaks for the chosen view and against those that were ranked before it.
 
+    It is short, as people read it while the robot moves: all terms and all rejections are in the
+    explanation beside it.
+
     Args:
         chosen: the view.
         views: all that were considered.
@@ -113,50 +176,40 @@ def why_this(
     """
     (x, y, z), terms = chosen.pose[:3, 3], chosen.terms
     information = terms.get("information", 0.0)
-    share = ""
+    parts = [f"{information:.{0 if abs(information) >= 100.0 else 2}f} {unit}"]
     if full_view > 0.0:
-        share = f" ({100.0 * information / full_view:.0f} % of a full unknown view)"
-    parts = [
-        f"view from ({x:.2f}, {y:.2f}, {z:.2f}) m: expects {information:.{_digits(information)}f} "
-        f"{unit}{share} {_cost_of(terms)}"
-    ]
+        parts.append(f"{100.0 * information / full_view:.0f} % of a full unknown view")
+    parts.append(_cost_of(terms))
+    text = f"view from ({x:.1f}, {y:.1f}, {z:.1f}) m: {', '.join(parts)}"
     if kept:
-        parts.append("the goal so far is kept, as no other is clearly better")
-    changes = {name: terms.get(name, 0.0) for name in ("interest", "teammates", "repetition")}
-    least = 0.005 * abs(information)
-    parts += [
-        f"{name} {change:+.{_digits(change)}f} {unit}"
-        for name, change in changes.items()
-        if abs(change) > least
-    ]
+        text += "; the goal so far is kept"
     better = [view for view in views if view.rejection and view.score > chosen.score]
-    text = "; ".join(parts)
-    return f"{text}. {_count_reasons(better, 'ranked higher but ruled out')}".rstrip()
+    return text + (f"; {_ruled_out(better, 'better', 1)}" if better else "")
 
 
 def _cost_of(terms: Mapping[str, float]) -> str:
     """What a view costs, in the unit in which that was rated."""
     if "duration" in terms:
-        return f"after {terms['duration']:.1f} s"
-    return f"at distance {terms.get('distance', 0.0):.2f}"
-
-
-def _digits(value: float) -> int:
-    """Digits behind the point that leave about three in all."""
-    return 0 if abs(value) >= 100.0 or value == 0.0 else 2
+        return f"{terms['duration']:.1f} s away"
+    return f"{terms.get('distance', 0.0):.2f} away (weighted m and rad)"
 
 
 def why_none(views: list[RatedView]) -> str:
     """Say why no view is chosen."""
     if not views:
         return "no candidate view: the camera is in no known free space"
-    text = _count_reasons([view for view in views if view.rejection], "ruled out")
-    return f"no view can be chosen: {text}".rstrip()
+    refused = [view for view in views if view.rejection]
+    return f"no view can be chosen: {_ruled_out(refused, 'views', 5)}."
 
 
-def _count_reasons(views: list[RatedView], what: str) -> str:
-    if not views:
-        return ""
-    counts = count_reasons((view.rejection, 1) for view in views).most_common(5)
-    listed = ", ".join(f"{shorten(why, 90, placeholder=' ...')} ({n})" for why, n in counts)
-    return f"{len(views)} {what}: {listed}."
+_LETTERS = 70
+"""Of a reason against views; its first clause is told."""
+
+
+def _ruled_out(views: list[RatedView], what: str, kinds: int) -> str:
+    counts = count_reasons((view.rejection, 1) for view in views).most_common(kinds)
+    told = (
+        f"{shorten(why.split(';')[0], _LETTERS, placeholder=' ...')} ({count})"
+        for why, count in counts
+    )
+    return f"{len(views)} {what} ruled out, most: {', '.join(told)}"

@@ -8,20 +8,29 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.views.decision import RatedView, Stopwatch, ViewDecision, why_none, why_this
+from infomap_ros.views.decision import (
+    RatedView,
+    Reachability,
+    Stopwatch,
+    ViewDecision,
+    why_none,
+    why_this,
+)
 from infomap_ros.views.information.view_information import ExpectedInformation
-from infomap_ros.views.ranking.localization_error import LocalizationError
 from infomap_ros.views.ranking.look_ahead import LookAheadConfig
 from infomap_ros.views.ranking.options import InformationSource, Options
 from infomap_ros.views.ranking.rating import Rating, RatingConfig
 from infomap_ros.views.ranking.strategies import make_strategy
 from infomap_ros.views.ranking.strategy import ProposesViews, Strategy
-from infomap_ros.views.ranking.terms import RatingTerm
-from infomap_ros.views.reach import Reachability
+from infomap_ros.views.ranking.terms import LocalizationError, RatingTerm
 from infomap_ros.views.sampling.candidates import CandidateConfig, Candidates, find_candidates
 from infomap_ros.views.sampling.orientations import OrientationConfig
-from infomap_ros.views.sampling.surroundings import Surroundings
-from infomap_ros.views.sampling.survey import SurroundingsConfig, horizons, survey
+from infomap_ros.views.sampling.surroundings import (
+    Surroundings,
+    SurroundingsConfig,
+    horizons,
+    survey,
+)
 from infomap_ros.views.selection import KnownUnreachable, Selected, Selection, SelectionConfig
 from infomap_ros.views.situation import Situation
 
@@ -100,29 +109,19 @@ class NextBestView:
                 candidates = self._candidates(situation, surroundings, rng, previous_goal)
             with watch.stage("information"):
                 options = self._appraise(situation, surroundings, candidates, rng, previous_goal)
-            selected = self._select(options, reachability, known_unreachable, watch)
+            selected = Selection(
+                self.config.selection,
+                self._rating,
+                self._strategy,
+                options,
+                reachability,
+                known_unreachable,
+                watch,
+            ).run()
             considered = [*selected.views, *_ruled_out(candidates), *considered]
             if selected.index is not None or surroundings.is_whole or self._gives_up(selected):
                 break
         return self._explain(selected, options, considered, watch)
-
-    def _select(
-        self,
-        options: Options,
-        reachability: Reachability,
-        known_unreachable: KnownUnreachable | None,
-        watch: Stopwatch,
-    ) -> Selected:
-        selection = Selection(
-            self.config.selection,
-            self._rating,
-            self._strategy,
-            options,
-            reachability,
-            known_unreachable,
-            watch,
-        )
-        return selection.run()
 
     def _candidates(
         self,
@@ -172,7 +171,7 @@ class NextBestView:
 
     def _gives_up(self, selected: Selected) -> bool:
         """Whether as many motions were planned as may be."""
-        return len(selected.tried) >= self.config.selection.approach.attempts
+        return len(selected.tried) >= self.config.selection.attempts
 
     def _explain(
         self, selected: Selected, options: Options, considered: list[RatedView], watch: Stopwatch

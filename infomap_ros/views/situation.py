@@ -168,11 +168,12 @@ class Situation:
         teammates: the other robots.
         past_views: ``T_map_camera`` of the views taken before, as far as known, shape (V, 4, 4).
         kept_shares: share of what each of them could tell that it has told, shape (V,), NaN where
-            that is not known; see `views.gain_prior`. Empty where it is known of none.
+            that is not known; empty where it is known of none. See `unproductive_looks.GainPrior`.
         free_body: the robot's own body in the map frame: space that is free whatever the map says.
         clear_space: space that is declared free, map frame; what the map knows to be occupied is.
         heights: lowest and highest place that the camera can be brought to [m]: z of the map, or
-            above the ground where `ground_height` is given.
+            above the ground where `ground_height` is given; equal for a camera at one height.
+        elevations: least and greatest angle of its optical axis above the horizontal [rad].
         ground_height: height of the ground at a place.
         promising: the map by which it is judged what views are expected to tell, see
             `views.unproductive_looks`; `voxel_map` where not given.
@@ -197,6 +198,7 @@ class Situation:
     free_body: Sequence[PlacedSolid] = ()
     clear_space: Sequence[PlacedSolid] = ()
     heights: tuple[float, float] = (-np.inf, np.inf)
+    elevations: tuple[float, float] = (-0.5 * np.pi, 0.5 * np.pi)
     ground_height: GroundHeight | None = None
     promising: VoxelMap | None = None
     arm_views: FloatArray = field(default_factory=lambda: np.empty((0, 4, 4)))
@@ -208,8 +210,10 @@ class Situation:
         covariance = check_covariance(self.pose_covariance, 6, "pose_covariance")
         object.__setattr__(self, "pose_covariance", covariance)
         _check_range(self.max_range, "max_range")
-        if not self.heights[0] < self.heights[1]:
-            raise InvalidInputError("heights", f"{self.heights} is not a band")
+        for name in ("heights", "elevations"):
+            low, high = getattr(self, name)
+            if not low <= high:
+                raise InvalidInputError(name, f"{low:g} to {high:g} is not a band")
         past = float_array(self.past_views, "past_views").reshape(-1, 4, 4)
         object.__setattr__(self, "past_views", past)
         shares = float_array(self.kept_shares, "kept_shares")

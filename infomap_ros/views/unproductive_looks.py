@@ -8,50 +8,35 @@ right after it has been taken is in vain: that is all it needs to know.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from infomap_ros.geometry.config import check_config, setting
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap
-from infomap_ros.mapping.voxels.keys import COORDINATE_LIMIT
+from infomap_ros.mapping.scans.traversal import unpack_all
 from infomap_ros.mapping.voxels.voxel_states import put_states, unknown_states
 
-_BITS, _MASK = 21, (1 << 21) - 1
 _CERTAINLY_FREE = -60  # [quanta]
 
 
-@dataclass(frozen=True)
-class UnproductiveLooksConfig:
-    """When a voxel is given up.
-
-    Raises:
-        ConfigError: a value is out of its range.
-    """
-
-    look_limit: float = setting(
-        1.5,
-        "A voxel that stays unknown is no longer expected to tell anything after so many looks in "
-        "vain from next to it. A look from a distance d counts 1 - (d / max_range)^2.",
-        low=0.01,
-        high=1e6,
-    )
-
-    def __post_init__(self) -> None:
-        check_config(self)
+LOOK_LIMIT = 1.5
+"""A voxel that stays unknown is no longer expected to tell anything after so many looks in vain
+from next to it. A look from a distance d counts 1 - (d / max_range)^2.
+"""
 
 
 class UnproductiveLooks:
     """How often each voxel was looked at in vain.
 
     Args:
-        config: when a voxel is given up.
+        limit: so many of them give a voxel up, see `LOOK_LIMIT`.
     """
 
-    def __init__(self, config: UnproductiveLooksConfig | None = None) -> None:
-        self.config = config or UnproductiveLooksConfig()
+    def __init__(self, limit: float = LOOK_LIMIT) -> None:
+        self._limit = limit
         self._keys: NDArray[np.int64] = np.zeros(0, np.int64)
         self._counts: FloatArray = np.zeros(0)
 
@@ -82,7 +67,7 @@ class UnproductiveLooks:
 
     def are_given_up(self, keys: NDArray[np.int64]) -> NDArray[np.bool_]:
         """Whether voxels are given up, by their packed indices, shape (K,)."""
-        return np.isin(keys, self._keys[self._counts >= self.config.look_limit])
+        return np.isin(keys, self._keys[self._counts >= self._limit])
 
     def without_them(self, voxel_map: VoxelMap) -> VoxelMap:
         """A copy of the map in which the voxels that are given up count as free.
@@ -90,7 +75,7 @@ class UnproductiveLooks:
         For what views are expected to tell, and for nothing else: nobody has seen that they are.
         The map itself where none is given up.
         """
-        given_up = self._keys[self._counts >= self.config.look_limit]
+        given_up = self._keys[self._counts >= self._limit]
         given_up = given_up[~_known(voxel_map, given_up)]
         if not len(given_up):
             return voxel_map
@@ -104,9 +89,41 @@ class UnproductiveLooks:
 
 def _indices(keys: NDArray[np.int64]) -> NDArray[np.int64]:
     """Voxel indices of packed keys, shape (K, 3)."""
-    parts = [keys >> (2 * _BITS), (keys >> _BITS) & _MASK, keys & _MASK]
-    return np.stack(parts, axis=1) - COORDINATE_LIMIT
+    indices = np.empty((len(keys), 3), np.int64)
+    unpack_all(keys, len(keys), indices)
+    return indices
 
 
 def _known(voxel_map: VoxelMap, keys: NDArray[np.int64]) -> NDArray[np.bool_]:
     return voxel_map.is_known((_indices(keys) + 0.5) * voxel_map.config.voxel_size)
+
+
+class GainPrior:
+    """What share of what views could tell they have told, in their order.
+
+    A camera that looks into the sky, or at a wall closer than it can match, is told nothing, and
+    the map goes on promising as much. What the map has gained by a view, against what the view
+    still promises, says how far views of its kind are to be trusted; see
+    `views.ranking.terms.Repetition`.
+
+    Attributes:
+        shares: of each view, 0 to 1; NaN where it is not known.
+    """
+
+    def __init__(self) -> None:
+        self.shares: list[float] = []
+        self._entropy = math.nan
+
+    def note(self, left: Sequence[float], entropy: float) -> None:
+        """Count views since the last call; of several it is not known which has told what.
+
+        Args:
+            left: what each of them is still expected to tell, oldest first [bits]; NaN for one
+                that was wanted, and the robot looked from beside it.
+            entropy: of the region of the task with them [bits].
+        """
+        told = max(self._entropy - entropy, 0.0)
+        self._entropy = entropy
+        taken = [each for each in left if not math.isnan(each)]
+        known = len(taken) == 1 and told + taken[0] > 0.0
+        self.shares += [told / (told + each) if known else math.nan for each in left]

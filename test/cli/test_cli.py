@@ -20,7 +20,7 @@ from infomap_ros.cli.results import results_in
 from infomap_ros.errors import InvalidInputError
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 
-from ..replay.scenes import START, STEP, depth_frames, fill_after, write
+from ..replay.scenes import START, STEP, depth_frames, fill_after, stereo_frames, write
 
 
 @pytest.fixture
@@ -75,10 +75,11 @@ def test_points_that_are_too_far_for_the_map_are_told(tmp_path, run):
     arguments = ("map", bag, "--out", tmp_path / "out")
     assert "beyond" not in run(*arguments)[2]
     said = run(*arguments, "--overwrite", "--max-range", 1.6)[2]
-    assert "of the points are beyond 1.6 m" in said
-    again = said.partition("try ")[2].partition(" (")[0].split()
-    assert again[::2] == ["--max-range", "--voxel-size"]
-    assert "points are beyond" not in run(*arguments, "--overwrite", *again)[2]
+    assert "most of the points are beyond 1.6 m" in said
+    assert "points are beyond" not in run(*arguments, "--overwrite", "--max-range", 3.0)[2]
+    far = write(tmp_path / "far", stereo_frames(scale=20.0))
+    said = run("map", far, "--out", tmp_path / "street")[2]
+    assert "most of the scene is beyond 5 m: it is mapped up to 50 m with voxels of" in said
 
 
 @pytest.mark.parametrize(

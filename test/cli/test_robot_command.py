@@ -48,6 +48,7 @@ def test_the_rover_is_understood(
         ("no/such.urdf", "robot.yaml", "no/such.urdf"),
         (str(find_share("config/rover.urdf")), "robot.txt", "--out"),
         ("package://nobody_has_this/a.urdf", "robot.yaml", "nobody_has_this"),
+        ("no/such.urdf", "/proc/robot.yaml", "cannot write to /proc"),  # said before any work
     ],
 )
 def test_what_cannot_be_used_is_named(

@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from infomap_ros.exploration.progress import MapProgress
 from infomap_ros.exploration.robot import (
     Choice,
     FailedView,
     Interrupted,
     KnownPlace,
+    MapProgress,
     Motion,
     RobotState,
 )

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from infomap_ros.exploration.records.surface_growth import SurfaceGrowth
 from infomap_ros.geometry import PinholeCamera, make_transform
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 
@@ -66,8 +68,15 @@ def views(count: int) -> list[np.ndarray]:
 
 def made_up_map(count: int = 12, voxel_size: float = 0.05) -> VoxelMap:
     """The map that the views make."""
+    *_, voxel_map = growing_map(count, voxel_size)
+    return voxel_map
+
+
+def growing_map(count: int, voxel_size: float) -> Iterator[VoxelMap]:
+    """The map before the first view, and after each."""
     voxel_map = VoxelMap(VoxelMapConfig(voxel_size=voxel_size, max_range=MAX_RANGE))
     rng = np.random.default_rng(1)
+    yield voxel_map
     for pose in views(count):
         points = seen_points(pose)
         noise = 1.0 + 0.003 * points[..., 2:] * rng.standard_normal((*points.shape[:2], 1))
@@ -76,7 +85,7 @@ def made_up_map(count: int = 12, voxel_size: float = 0.05) -> VoxelMap:
         covariances[..., [0, 3]] = 1e-6
         covariances[..., 5] = (0.004 * depth**2) ** 2
         voxel_map.integrate(points * noise, pose, covariances, camera=CAMERA)
-    return voxel_map
+        yield voxel_map
 
 
 def entries(count: int = 12, candidates: int = 60) -> list[dict[str, Any]]:
@@ -128,9 +137,17 @@ def entries(count: int = 12, candidates: int = 60) -> list[dict[str, Any]]:
     return found
 
 
-def write_log(path: Path, count: int = 12, candidates: int = 60) -> Path:
-    """Write the log as a file."""
-    lines = (json.dumps(entry) for entry in entries(count, candidates))
+def write_log(
+    path: Path, count: int = 12, candidates: int = 60, voxel_size: float | None = None
+) -> Path:
+    """Write the log as a file; it tells how the surface grew where a voxel size is given."""
+    told = entries(count, candidates)
+    if voxel_size is not None:
+        growth, maps = SurfaceGrowth(), growing_map(count, voxel_size)
+        for entry in told:
+            if entry["kind"] == "decision":
+                entry["surface"] = growth.text(next(maps))
+    lines = (json.dumps(entry) for entry in told)
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
     return path
 

@@ -9,10 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from infomap_ros.exploration.records.activities import activities
 from infomap_ros.exploration.records.recorded_run import RecordedRun, read_run
 from infomap_ros.exploration.records.run_log import RunLogFile
-from infomap_ros.exploration.reports.report_page.time_line import time_line
+from infomap_ros.exploration.reports.report import activities, time_line
 
 # seconds that each entry takes by the wall and by the robot, kind of the entry
 ENTRIES = (

@@ -8,7 +8,7 @@ from infomap_ros.exploration.fiducial_error import FiducialLocalizationError
 from infomap_ros.geometry import PinholeCamera, StereoRig, make_transform
 from infomap_ros.localization.filter.records import Fiducials
 from infomap_ros.mapping import VoxelMap
-from infomap_ros.views.ranking.localization_error import OdometryDrift
+from infomap_ros.views.ranking.terms import OdometryDrift
 from infomap_ros.views.situation import Situation
 
 CAMERA = PinholeCamera(512, 384, 340.0, 340.0, 255.5, 191.5)

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from infomap_ros.exploration.records.hindrances import hindrance_figures
 from infomap_ros.exploration.records.recorded_run import read_run
+from infomap_ros.exploration.records.run_figures import hindrance_figures
 from infomap_ros.exploration.records.run_log import RunLogFile
 
 START = {

@@ -10,8 +10,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from infomap_ros.exploration.robot import Interrupted, Motion, RobotState
-from infomap_ros.exploration.team.keep_clear import PAUSE, KeepClearConfig, KeepsClear
-from infomap_ros.exploration.team.watched_motion import Awareness, rest_of
+from infomap_ros.exploration.team.keep_clear import (
+    PAUSE,
+    Awareness,
+    KeepClearConfig,
+    KeepsClear,
+    rest_of,
+)
 from infomap_ros.geometry import Cylinder, PinholeCamera, PlacedSolid, Sphere, make_transform
 from infomap_ros.motion.route import ArmPath
 from infomap_ros.team.agents import Agent

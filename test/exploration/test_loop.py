@@ -137,7 +137,7 @@ def test_asks_again_where_teammates_are_at_all_that_is_left(
         return choose(state)
 
     monkeypatch.setattr(run.planner, "choose", busy_at_first)
-    monkeypatch.setattr("infomap_ros.exploration.fallbacks.PAUSE", 0.0)
+    monkeypatch.setattr("infomap_ros.exploration.rules.PAUSE", 0.0)
     assert run.exploration.run().reason is EndReason.DONE
     assert run.states.count("waiting for teammates") == 2
     assert run.exploration.mission.views == 2

@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from infomap_ros.exploration.records.pose_predictions import (
+from infomap_ros.exploration.records.recorded_run import RecordedRun, read_run
+from infomap_ros.exploration.records.run_figures import (
     PosePrediction,
     pose_predictions,
     prediction_figures,
 )
-from infomap_ros.exploration.records.recorded_run import RecordedRun, read_run
 from infomap_ros.exploration.records.run_log import RunLogFile
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from infomap_ros.exploration.records.log_parsing import RunLogError
+from infomap_ros.errors import RunLogError
 from infomap_ros.exploration.records.log_records import Decision, Motion, Progress
 from infomap_ros.exploration.records.recorded_run import read_run
 from infomap_ros.exploration.records.run_log import RunLogFile

@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from infomap_ros.errors import MapFileError
-from infomap_ros.exploration.records.log_parsing import RunLogError
+from infomap_ros.errors import MapFileError, RunLogError
+from infomap_ros.exploration.records.recorded_run import read_run
+from infomap_ros.exploration.records.surface_growth import grown_voxels
 from infomap_ros.exploration.reports.report import write_map_report, write_report
 from infomap_ros.exploration.reports.report_page import scene
 from infomap_ros.exploration.reports.report_page.axes import (
@@ -36,7 +37,7 @@ from infomap_ros.exploration.reports.report_page.tables import kind_of
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.mapping.files.export import surface_sigmas
 
-from .made_up_run import entries, made_up_map, write_log
+from .made_up_run import entries, growing_map, made_up_map, write_log
 
 
 @pytest.fixture(scope="module")
@@ -306,3 +307,22 @@ def test_ticks_are_round(low: float, high: float, ticks: list[float]) -> None:
 )
 def test_numbers_are_readable(text: str, expected: str) -> None:
     assert text.replace("\u2009", " ") == expected
+
+
+def test_each_voxel_is_shown_from_the_decision_on_that_knew_it_first(tmp_path: Path) -> None:
+    run = read_run(write_log(tmp_path / "run.jsonl", 4, voxel_size=0.1))
+    surface = drawn_surface(made_up_map(4, 0.1))
+    seen = scene.scene_of(surface, None, run)["arrays"]["seen"]
+    cells = list(map(tuple, surface.cells + surface.first))
+    known: set[tuple[int, ...]] = set()
+    for decision, voxel_map in enumerate(growing_map(4, 0.1)):
+        known |= set(map(tuple, voxel_map.gaussians()[0]))
+        shown = {cell for cell, first in zip(cells, seen, strict=True) if first <= decision}
+        assert shown == known & set(cells)
+    assert len(set(seen)) > 3
+
+
+@pytest.mark.parametrize("text", ["no base64", "AAAA", "eJw="])
+def test_a_surface_that_cannot_be_read_is_named(text: str) -> None:
+    with pytest.raises(RunLogError, match="'surface' of a decision"):
+        grown_voxels(text)

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from infomap_ros.exploration.surface_completion import SurfaceCompletion, missing_surface
+from infomap_ros.exploration.view_choice import SurfaceCompletion, missing_surface
 from infomap_ros.geometry import PinholeCamera
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.mapping.voxels.keys import pack
@@ -18,10 +18,10 @@ from infomap_ros.mapping.voxels.voxel_states import (
     unknown_states,
 )
 from infomap_ros.views.information.information_config import InformationConfig
-from infomap_ros.views.information.rays import checked_poses
+from infomap_ros.views.information.view_query import checked_poses
 from infomap_ros.views.sampling.orientations import look_rotations
 from infomap_ros.views.situation import RegionOfTask, Situation
-from infomap_ros.views.unproductive_looks import UnproductiveLooks, UnproductiveLooksConfig
+from infomap_ros.views.unproductive_looks import UnproductiveLooks
 
 REGION = np.array([(-1.2, -1.2, -0.3), (1.2, 1.2, 1.0)])
 INSIDE = (0.0, 0.0, 0.5)
@@ -154,7 +154,7 @@ def test_proposed_views_show_the_hole(floor):
 def test_what_was_looked_at_in_vain_is_not_sought(floor):
     """By the same count of looks that takes voxels from the information of views."""
     completion, situation = prepared(with_hole(floor))
-    looks = UnproductiveLooks(UnproductiveLooksConfig(look_limit=0.5))
+    looks = UnproductiveLooks(0.5)
     looks.note(np.sort(keys_of(HOLE)), floor, np.array((0.3, 0.0, 0.6)), 3.0)
     promising = looks.without_them(floor)
     assert completion.prepare(replace(situation, promising=promising)) == 0

@@ -13,7 +13,7 @@ from infomap_ros.mapping import NOT_OBSERVED, VoxelMap, VoxelMapConfig
 from infomap_ros.mapping.correction.correctable_map import CorrectableMap
 from infomap_ros.mapping.correction.scan_store import ScanStoreConfig
 from infomap_ros.mapping.scans.body import BodyFilterConfig
-from infomap_ros.motion import RobotModel
+from infomap_ros.motion.robot.robot_model import RobotModel
 from test.exploration.test_team_bodies import (
     CAMERA,
     COVARIANCES,

@@ -10,6 +10,7 @@ import pytest
 
 from infomap_ros.errors import PoseUnavailableError
 from infomap_ros.exploration.team.team_bodies import TeamBodies, TeamBodiesConfig
+from infomap_ros.exploration.team.teammate_places import on_bodies
 from infomap_ros.geometry import (
     PinholeCamera,
     PlacedSolid,
@@ -23,7 +24,8 @@ from infomap_ros.geometry import (
 from infomap_ros.geometry.resources import find_share
 from infomap_ros.localization.localizer_config import LocalizerConfig
 from infomap_ros.mapping import OCCUPIED, VoxelMap, VoxelMapConfig
-from infomap_ros.motion import RobotModel
+from infomap_ros.mapping.scans.body import BodyFilterConfig
+from infomap_ros.motion.robot.robot_model import RobotModel
 from infomap_ros.motion.robot.solid_extent import body_extent
 from infomap_ros.team.agents import Agent
 
@@ -147,7 +149,8 @@ def mapped(
     for time in times:
         points, others = seen_at(robot, time)
         if bodies is not None:
-            mask = bodies.mask(points, COVARIANCES, pose_at(time))
+            found = bodies.bodies_in(pose_at(time))
+            mask = on_bodies(points, COVARIANCES, found, BodyFilterConfig())
             points = np.where(mask[..., None], np.float32(np.nan), points)
         kept += int((np.isfinite(points[..., 0]).ravel() & others).sum())
         all_others += int(others.sum())
@@ -291,4 +294,5 @@ def test_nothing_is_cut_where_no_teammate_is_in_view(robot: RobotModel) -> None:
     points = scan_of([])
     turned = LOOKING @ invert_transform(make_transform(np.diag([-1.0, 1.0, -1.0]), np.zeros(3)))
     camera = replace(pose_at(400), transform=turned)
-    assert not heard(robot).mask(points, None, camera).any()
+    found = heard(robot).bodies_in(camera)
+    assert not on_bodies(points, None, found, BodyFilterConfig()).any()

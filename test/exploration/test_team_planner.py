@@ -12,15 +12,14 @@ from infomap_ros.errors import TeammatesBusyError, UpdateRefusedError
 from infomap_ros.exploration.robot import Choice, RobotState
 from infomap_ros.exploration.task import TaskConfig
 from infomap_ros.exploration.team.team_planner import TeamPlanner
-from infomap_ros.exploration.team.team_space import teammate_of
-from infomap_ros.exploration.team.teamwork import Presence, Teamwork
+from infomap_ros.exploration.team.teamwork import Presence, Teamwork, teammate_of
 from infomap_ros.exploration.view_planner import Surrounding, ViewPlanner, ViewPlannerConfig
 from infomap_ros.geometry import PinholeCamera, StereoRig, make_transform
 from infomap_ros.geometry.resources import find_share
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.mapping.voxels.voxel_states import VoxelStates, information_of, put_states
-from infomap_ros.motion import RobotModel
-from infomap_ros.motion.reaching_config import ReachingConfig
+from infomap_ros.motion.robot.robot_model import RobotModel
+from infomap_ros.motion.whole_body import ReachingConfig
 from infomap_ros.simulation.body.robot import read_description
 from infomap_ros.team.agents_config import AgentsConfig
 from infomap_ros.views.next_best_view import NextBestViewConfig

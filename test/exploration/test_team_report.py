@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from infomap_ros.errors import InvalidInputError
-from infomap_ros.exploration.reports.team_report import write_team_report
+from infomap_ros.exploration.reports.comparison import write_team_report
 
 from .made_up_run import made_up_map, write_log
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from infomap_ros.exploration.progress import MapProgress
+from infomap_ros.exploration.robot import MapProgress
 from infomap_ros.exploration.rules import UnproductiveViews
 from infomap_ros.exploration.task import TaskConfig
 

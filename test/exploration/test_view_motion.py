@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from infomap_ros.exploration.camera_mover import camera_error
+from infomap_ros.exploration.loop import camera_error
 from infomap_ros.exploration.robot import RobotState
 from infomap_ros.exploration.task import TaskConfig
 from infomap_ros.exploration.view_motion import ViewMotion
@@ -18,8 +18,8 @@ from infomap_ros.geometry.resources import find_share
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.mapping.voxels.voxel_states import VoxelStates, information_of, put_states
-from infomap_ros.motion import RobotModel
 from infomap_ros.motion.keep_out import KeepOut
+from infomap_ros.motion.robot.robot_model import RobotModel
 from infomap_ros.motion.route import Route
 from infomap_ros.simulation.body.robot import read_description
 
@@ -132,6 +132,18 @@ def test_a_box_behind_or_beside_the_base_blocks_nothing(trip: Trip) -> None:
     put_box(trip.map, (-1.2, 0.0, 0.1))
     put_box(trip.map, (0.0, 1.3, 0.1))
     assert trip.problem_at(last) == ""
+
+
+def test_what_the_map_puts_where_the_base_stands_blocks_it_only_if_it_does_not_leave_it(
+    trip: Trip,
+) -> None:
+    row = len(trip.route.base_path) // 2
+    heel = trip.route.base_poses[row] @ (-0.32, 0.0, 0.0, 1.0)  # 0.23 m behind it a wheel ends
+    put_box(trip.map, (heel[0], heel[1], 0.1))
+    assert trip.problem_at(row) == ""
+    toe = trip.route.base_poses[row] @ (0.32, 0.0, 0.0, 1.0)
+    put_box(trip.map, (toe[0], toe[1], 0.1))
+    assert trip.problem_at(row).startswith("the base path is blocked at (")
 
 
 def test_unchanged_surroundings_are_free_wherever_the_robot_is(trip: Trip) -> None:

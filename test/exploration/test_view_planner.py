@@ -21,9 +21,9 @@ from infomap_ros.mapping.voxels.voxel_states import (
     put_states,
     unknown_states,
 )
-from infomap_ros.motion import RobotModel
 from infomap_ros.motion.keep_out import KeepOut
 from infomap_ros.motion.reaching import WholeBodyReach
+from infomap_ros.motion.robot.robot_model import RobotModel
 from infomap_ros.motion.route import ReachResult
 from infomap_ros.simulation.body.robot import read_description
 from infomap_ros.views.next_best_view import NextBestViewConfig
@@ -109,7 +109,7 @@ def test_draws_others_when_no_view_can_be_reached(robot, half_known, tried):
     choice = planner_of(robot).choose(half_known, standing(robot))
     assert choice.pose is None and choice.route is None
     assert "the road is closed" in choice.reason
-    one_round = NextBestViewConfig().selection.approach.attempts
+    one_round = NextBestViewConfig().selection.attempts
     assert one_round < len(tried) <= ROUNDS * one_round
 
 
@@ -208,19 +208,19 @@ def test_a_base_that_stands_in_a_region_is_told_and_can_drive_out(robot, half_kn
     """It is driven to where it has stood before; that is the first drive after a region is set."""
     planner, state = planner_of(robot), standing(robot)
     region = Polygon.of([(0.1, -0.3), (0.8, -0.3), (0.8, 0.3), (0.1, 0.3)], "puddle")
-    planner.forbid(KeepOut((region,)))
+    planner.motion.keep_out = KeepOut((region,))
     home = KnownPlace("home", (-0.2, 1.1, 0.0), state.joints)
     choice = planner.way_to(half_known, state, home)
     assert choice.route is not None, choice.reason
-    assert planner.stands_wrongly == "in or next to keep-out region 'puddle'"
+    assert planner.motion.stands_wrongly == "in or next to keep-out region 'puddle'"
     np.testing.assert_allclose(choice.route.base_path[-1, :2], (-0.2, 1.1), atol=0.05)
     near = region.signed_distance(choice.route.base_path[:, :2])
     assert near[0] < 0.0 < near[-1]
     assert (np.diff(np.sign(near)) >= 0).all(), "it goes in again"
-    assert planner.route_problem(half_known, state) == ""
-    planner.forbid(KeepOut())
+    assert planner.motion.route_problem(half_known, state) == ""
+    planner.motion.keep_out = KeepOut()
     planner.way_to(half_known, state, home)
-    assert planner.stands_wrongly == ""
+    assert planner.motion.stands_wrongly == ""
 
 
 @pytest.mark.parametrize(

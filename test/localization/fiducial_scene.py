@@ -11,7 +11,7 @@ from infomap_ros.geometry import (
     make_transform,
     transform_points,
 )
-from infomap_ros.localization import FiducialObservations
+from infomap_ros.localization.fiducials.observations import FiducialObservations
 
 CAMERA = PinholeCamera(640, 480, 500.0, 500.0, 319.5, 239.5)
 BASELINE = 0.12

@@ -5,9 +5,14 @@ import numpy as np
 import pytest
 
 from infomap_ros.errors import InvalidInputError
-from infomap_ros.localization import AppearanceConfig, describe, find_again
-from infomap_ros.localization.fiducials.appearance import SCALES, corners_of
-from infomap_ros.localization.fiducials.gradient_histograms import gradient_histograms
+from infomap_ros.localization.fiducials.appearance import (
+    SCALES,
+    AppearanceConfig,
+    corners_of,
+    describe,
+    find_again,
+    gradient_histograms,
+)
 from test.localization.textured_plane import TexturedPlane, camera_at
 
 START = camera_at([0.0, 0.0, 0.0])

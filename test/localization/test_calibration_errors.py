@@ -10,8 +10,10 @@ import pytest
 from scipy.stats import chi2
 
 from infomap_ros.geometry import invert_transform, perturb_transform
-from infomap_ros.localization import FiducialFilter, FiducialObservations, MotionPrior
+from infomap_ros.localization.fiducials.observations import FiducialObservations
+from infomap_ros.localization.filter.fiducial_filter import FiducialFilter
 from infomap_ros.localization.filter.invariant_state import InvariantState, calibration_shifts
+from infomap_ros.localization.filter.motion_prior import MotionPrior
 from infomap_ros.localization.localizer import Localizer
 from infomap_ros.localization.localizer_config import CalibrationConfig, LocalizerConfig
 from test.localization import room_views

@@ -12,7 +12,7 @@ from infomap_ros.geometry import (
     make_transform,
     perturb_transform,
 )
-from infomap_ros.localization import DeadReckoning, DeadReckoningConfig
+from infomap_ros.localization.dead_reckoning import DeadReckoning, DeadReckoningConfig
 
 T_BASE_CAMERA = make_transform(
     Rotation.from_euler("xyz", (-1.9, 0.1, -1.4)).as_matrix(), (0.3, 0.1, 0.8)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from infomap_ros.localization.filter.drift_watch import DriftWatch
+from infomap_ros.localization.filter.history import DriftWatch
 
 
 def watched(bias: float, images: int, rng: np.random.Generator, count: int = 400) -> np.ndarray:

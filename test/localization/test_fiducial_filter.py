@@ -11,13 +11,11 @@ from scipy.stats import chi2
 
 from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry import invert_transform, perturb_transform, transform_points
-from infomap_ros.localization import (
-    FiducialFilter,
-    FiducialFilterConfig,
-    FiducialObservations,
-    MotionPrior,
-    free_motion,
-)
+from infomap_ros.localization.fiducials.observations import FiducialObservations
+from infomap_ros.localization.filter.config import FiducialFilterConfig
+from infomap_ros.localization.filter.fiducial_filter import FiducialFilter
+from infomap_ros.localization.filter.free_motion import free_motion
+from infomap_ros.localization.filter.motion_prior import MotionPrior
 from test.localization.fiducial_scene import (
     CAMERA,
     looking,

@@ -5,15 +5,17 @@ import numpy as np
 import pytest
 
 from infomap_ros.errors import ConfigError, InvalidInputError
-from infomap_ros.localization import FiducialSelectionConfig, StereoView, select_fiducials
-from infomap_ros.localization.fiducials.evaluation import (
+from infomap_ros.localization.fiducials.range_view import StereoView
+from infomap_ros.localization.fiducials.selection import (
+    FiducialSelectionConfig,
     certainty,
+    corner_candidates,
     depth_contrast,
     range_certainty,
+    select_fiducials,
     spread_penalty,
     visual_contrast,
 )
-from infomap_ros.localization.fiducials.selection import corner_candidates
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from test.localization.textured_plane import SENSOR, TexturedPlane, camera_at
 

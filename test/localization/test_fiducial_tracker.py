@@ -6,17 +6,14 @@ import numpy as np
 import pytest
 
 from infomap_ros.errors import InvalidInputError
-from infomap_ros.localization import (
-    FiducialTracker,
-    FiducialTrackerConfig,
-    StereoView,
-    select_fiducials,
-)
 from infomap_ros.localization.fiducials.patch_alignment import (
     MARGIN,
     align_templates,
     cut_templates,
 )
+from infomap_ros.localization.fiducials.range_view import StereoView
+from infomap_ros.localization.fiducials.selection import select_fiducials
+from infomap_ros.localization.fiducials.tracker import FiducialTracker, FiducialTrackerConfig
 from test.localization.textured_plane import SENSOR, TexturedPlane, camera_at
 
 START = camera_at([0.0, 0.0, 0.0])

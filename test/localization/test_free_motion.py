@@ -7,8 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from infomap_ros.geometry import make_transform
-from infomap_ros.localization import FreeMotionConfig
-from infomap_ros.localization.filter.free_motion import FreeMotion
+from infomap_ros.localization.filter.free_motion import FreeMotion, FreeMotionConfig
 
 WALK = make_transform(Rotation.from_rotvec([0.0, 0.02, 0.0]).as_matrix(), [0.0, 0.0, 0.1])
 

@@ -8,14 +8,9 @@ from scipy.spatial.transform import Rotation
 
 from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry import invert_transform, make_transform, perturb_transform
-from infomap_ros.localization import (
-    DeadReckoningConfig,
-    FreeMotionConfig,
-    KinematicMotion,
-    MotionPrior,
-    RobotPosture,
-    free_motion,
-)
+from infomap_ros.localization.dead_reckoning import DeadReckoningConfig
+from infomap_ros.localization.filter.free_motion import FreeMotionConfig, free_motion
+from infomap_ros.localization.filter.motion_prior import KinematicMotion, MotionPrior, RobotPosture
 from test.localization.fiducial_scene import pose_error
 
 

@@ -5,8 +5,7 @@ import pytest
 
 from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry import PinholeCamera
-from infomap_ros.localization import FiducialObservations
-from infomap_ros.localization.fiducials.observations import no_observations
+from infomap_ros.localization.fiducials.observations import FiducialObservations, no_observations
 
 CAMERA = PinholeCamera(640, 480, 500.0, 480.0, 320.0, 240.0)
 

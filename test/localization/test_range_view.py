@@ -8,8 +8,12 @@ import pytest
 
 from infomap_ros.errors import CalibrationError, ConfigError, InvalidInputError
 from infomap_ros.geometry import PinholeCamera, StereoRig
-from infomap_ros.localization import DepthView, SparseStereoConfig, StereoView
-from infomap_ros.localization.fiducials.sparse_stereo import correlate, match_pixels
+from infomap_ros.localization.fiducials.range_view import DepthView, StereoView
+from infomap_ros.localization.fiducials.sparse_stereo import (
+    SparseStereoConfig,
+    correlate,
+    match_pixels,
+)
 from infomap_ros.stereo import (
     DepthCameraConfig,
     DepthCameraSensor,

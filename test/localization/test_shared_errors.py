@@ -9,7 +9,7 @@ import pytest
 
 from infomap_ros.geometry import PoseUncertainty, invert_transform, perturb_transform
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.localization import FiducialFilter
+from infomap_ros.localization.filter.fiducial_filter import FiducialFilter
 from infomap_ros.studies.pose_consistency import CAMERA, Room, circle, odometry, pose_error
 
 START = np.diag([0.01**2] * 3 + [0.003**2] * 3)

@@ -9,13 +9,12 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from infomap_ros.geometry import make_transform
-from infomap_ros.localization import FiducialObservations
+from infomap_ros.localization.fiducials.observations import FiducialObservations
 from infomap_ros.localization.filter.config import FiducialFilterConfig
 from infomap_ros.localization.filter.fiducial_filter import FiducialFilter
-from infomap_ros.localization.filter.hypothesis_choice import UNSUPPORTED
+from infomap_ros.localization.filter.hypothesis_choice import UNSUPPORTED, controlled
 from infomap_ros.localization.filter.motion_prior import MotionPrior
 from infomap_ros.localization.filter.sight import Measured, Sight
-from infomap_ros.localization.filter.support import controlled
 
 from .fiducial_scene import CAMERA, observe, pose_error, squared_distance, wall
 

@@ -14,8 +14,12 @@ from infomap_ros.geometry import (
 )
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.localization.target.tag_board import TagBoard, TagBoardConfig
-from infomap_ros.localization.target.tag_corners import refine_corners
-from infomap_ros.localization.target.tag_detection import TagDetectionConfig, TagFinder, Tags
+from infomap_ros.localization.target.tag_detection import (
+    TagDetectionConfig,
+    TagFinder,
+    Tags,
+    refine_corners,
+)
 from infomap_ros.localization.target.tag_detector import TagTargetConfig, TagTargetDetector
 from infomap_ros.localization.target.tag_pose import (
     KnownPoints,

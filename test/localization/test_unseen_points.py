@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from infomap_ros.geometry import PinholeCamera
-from infomap_ros.localization.prediction.unseen import unseen_points
+from infomap_ros.localization.prediction.error_prediction import unseen_points
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 
 CAMERA = PinholeCamera(64, 48, 45.0, 45.0, 31.5, 23.5)

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from infomap_ros.geometry import PinholeCamera, StereoRig, invert_transform, make_transform
-from infomap_ros.localization import StereoView
+from infomap_ros.localization.fiducials.range_view import StereoView
 from infomap_ros.stereo import StereoConfig, StereoRangeSensor
 
 CAMERA = PinholeCamera(320, 240, 260.0, 260.0, 159.5, 119.5)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from infomap_ros.studies.consistency_figure import draw_histograms
+from infomap_ros.cli.study_consistency import draw_histograms
 from infomap_ros.studies.map_consistency import (
     INDEPENDENT,
     ConsistencyConfig,

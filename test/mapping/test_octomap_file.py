@@ -12,7 +12,7 @@ import pytest
 
 from infomap_ros.errors import CapacityError, InvalidInputError, MapFileError
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
-from infomap_ros.mapping.files.octomap_file import read_bt, write_bt, write_ot
+from infomap_ros.mapping.files.octomap_file import read_octree, write_bt, write_ot
 
 SIZE = 0.1
 
@@ -37,7 +37,7 @@ def random_map(rng: np.random.Generator, uniform: bool = False) -> SimpleNamespa
     return stand_in(indices[order], log_odds[order])
 
 
-def read_ot(path: Path) -> pyoctomap.OcTree:
+def read_by_octomap(path: Path) -> pyoctomap.OcTree:
     return pyoctomap.OcTree(1.0).read(str(path))
 
 
@@ -49,7 +49,7 @@ def value_at(tree: pyoctomap.OcTree, index: np.ndarray) -> float | None:
 def test_ot_is_read_by_octomap_with_every_log_odds(tmp_path, rng):
     chosen = random_map(rng)
     write_ot(chosen, tmp_path / "a.ot")
-    tree = read_ot(tmp_path / "a.ot")
+    tree = read_by_octomap(tmp_path / "a.ot")
     assert tree.getResolution() == SIZE
     indices, log_odds = chosen.voxels()
     np.testing.assert_array_equal([value_at(tree, i) for i in indices], log_odds)
@@ -67,14 +67,14 @@ def test_bt_is_read_by_octomap_with_every_state(tmp_path, rng):
     indices, log_odds = chosen.voxels()
     occupied = [value_at(tree, i) > 0.0 for i in indices]
     np.testing.assert_array_equal(occupied, log_odds > 0.0)
-    assert sum(edge**3 for edge in read_bt(tmp_path / "a.bt").edges) == len(indices)
+    assert sum(edge**3 for edge in read_octree(tmp_path / "a.bt").edges) == len(indices)
 
 
 def test_equal_voxels_are_pruned_as_octomap_does(tmp_path, rng):
     chosen = random_map(rng)
     write_ot(chosen, tmp_path / "a.ot")
     write_bt(chosen, tmp_path / "a.bt")
-    full = read_ot(tmp_path / "a.ot")
+    full = read_by_octomap(tmp_path / "a.ot")
     assert full.size() == full.calcNumNodes()
     binary = pyoctomap.OcTree(0.5)
     binary.readBinary(str(tmp_path / "a.bt"))
@@ -83,13 +83,13 @@ def test_equal_voxels_are_pruned_as_octomap_does(tmp_path, rng):
     again = pyoctomap.OcTree(0.5)
     again.readBinary(str(tmp_path / "b.bt"))
     assert again.size() == binary.size()
-    assert 16 in read_bt(tmp_path / "a.bt").edges
+    assert 16 in read_octree(tmp_path / "a.bt").edges
 
 
 def test_bt_round_trip(tmp_path, rng):
     chosen = random_map(rng)
     write_bt(chosen, tmp_path / "a.bt")
-    leaves = read_bt(tmp_path / "a.bt")
+    leaves = read_octree(tmp_path / "a.bt")
     indices, log_odds = chosen.voxels()
     expected = {tuple(i) for i in indices[log_odds > 0.0].tolist()}
     voxels = leaves.occupied_voxels()
@@ -105,7 +105,7 @@ def test_octomaps_own_bt_is_read(tmp_path, rng):
     for place, hit in zip(places, occupied, strict=True):
         tree.updateNode(place, bool(hit))
     tree.writeBinary(str(tmp_path / "a.bt"))
-    leaves = read_bt(tmp_path / "a.bt")
+    leaves = read_octree(tmp_path / "a.bt")
     expected = {
         tuple(np.floor(np.array(leaf.getCoordinate()) / 0.25).astype(int))
         for leaf in tree.begin_leafs()
@@ -119,7 +119,7 @@ def test_real_building_has_as_many_leaves_as_octomap_finds(real_data):
     path = real_data / "octomaps" / "geb079.bt"
     tree = pyoctomap.OcTree(0.5)
     tree.readBinary(str(path))
-    leaves = read_bt(path)
+    leaves = read_octree(path)
     assert len(leaves.edges) == tree.getNumLeafNodes()
     low, high = leaves.corners.min(axis=0), (leaves.corners + leaves.edges[:, None]).max(axis=0)
     np.testing.assert_allclose(low * leaves.resolution, tree.getMetricMin(), atol=1e-9)
@@ -133,8 +133,8 @@ def test_empty_map_makes_files_that_octomap_reads(tmp_path):
     tree = pyoctomap.OcTree(0.5)
     assert tree.readBinary(str(tmp_path / "a.bt"))
     assert tree.size() == 0
-    assert read_ot(tmp_path / "a.ot").size() == 0
-    assert len(read_bt(tmp_path / "a.bt").edges) == 0
+    assert read_by_octomap(tmp_path / "a.ot").size() == 0
+    assert len(read_octree(tmp_path / "a.bt").edges) == 0
 
 
 def test_integrated_scan_reaches_octomap(tmp_path):
@@ -145,7 +145,7 @@ def test_integrated_scan_reaches_octomap(tmp_path):
     )
     voxel_map.integrate(wall.reshape(-1, 3), np.eye(4))
     write_ot(voxel_map, tmp_path / "a.ot")
-    tree = read_ot(tmp_path / "a.ot")
+    tree = read_by_octomap(tmp_path / "a.ot")
     places = np.array([[0.05, 0.05, 2.05], [0.05, 0.05, 1.05]])
     read = [tree.search(place).getLogOdds() for place in places]
     np.testing.assert_allclose(read, voxel_map.log_odds(places))
@@ -162,7 +162,7 @@ def test_voxel_beyond_octomaps_limit_is_refused(tmp_path, index):
 def test_voxels_at_octomaps_limit_are_kept(tmp_path):
     corners = np.array([[2**15 - 1] * 3, [-(2**15)] * 3])
     write_bt(stand_in(corners, np.array([1.0, 2.0])), tmp_path / "a.bt")
-    voxels = read_bt(tmp_path / "a.bt").occupied_voxels()
+    voxels = read_octree(tmp_path / "a.bt").occupied_voxels()
     np.testing.assert_array_equal(np.sort(voxels, axis=0), np.sort(corners, axis=0))
 
 
@@ -173,28 +173,28 @@ def test_voxels_at_octomaps_limit_are_kept(tmp_path):
         (lambda content: content.replace(b"id OcTree", b"id ColorOcTree"), "OcTree"),
         (lambda content: content.replace(b"res 0.1", b"res -1"), "OcTree"),
         (lambda content: content.replace(b"size ", b"size 9"), "header says"),
-        (lambda content: b"# Octomap OcTree file" + content, "binary"),
+        (lambda content: b"# Octomap OcTree file" + content, "no OctoMap"),
         (lambda content: content.replace(b"data\n", b"data\n" + b"\xff" * 80), "levels"),
-        (lambda content: b"", "binary"),
+        (lambda content: b"", "no OctoMap"),
     ],
 )
 def test_damaged_bt_is_refused_by_name(tmp_path, rng, damage, named):
     write_bt(random_map(rng), tmp_path / "a.bt")
     (tmp_path / "b.bt").write_bytes(damage((tmp_path / "a.bt").read_bytes()))
     with pytest.raises(MapFileError, match=rf"b\.bt.*{named}"):
-        read_bt(tmp_path / "b.bt")
+        read_octree(tmp_path / "b.bt")
 
 
 def test_a_file_that_fits_nowhere_is_not_taken_apart(tmp_path):
     head = b"# Octomap OcTree binary file\nid OcTree\nsize 9\nres 0.1\ndata\n"
     (tmp_path / "a.bt").write_bytes(head + b"\xaa\xaa")  # eight occupied leaves below the root
-    leaves = read_bt(tmp_path / "a.bt")
+    leaves = read_octree(tmp_path / "a.bt")
     with pytest.raises(CapacityError, match="281474976710656 occupied voxels"):
         leaves.occupied_voxels()
     for res in (b"inf", b"nan", b"1e300"):
         (tmp_path / "a.bt").write_bytes(head.replace(b"0.1", res) + b"\xaa\xaa")
         with pytest.raises(MapFileError, match=r"a\.bt"):
-            read_bt(tmp_path / "a.bt")
+            read_octree(tmp_path / "a.bt")
 
 
 @pytest.mark.parametrize("write", [write_bt, write_ot])
@@ -215,4 +215,27 @@ def test_what_cannot_be_written_leaves_the_old_file(tmp_path, rng, write, monkey
 
 def test_missing_file_is_named(tmp_path):
     with pytest.raises(MapFileError, match=r"none\.bt: No such file"):
-        read_bt(Path(tmp_path / "none.bt"))
+        read_octree(Path(tmp_path / "none.bt"))
+
+
+def test_ot_and_bt_have_the_same_leaves_as_voxels(tmp_path, rng):
+    chosen = random_map(rng)
+    write_ot(chosen, tmp_path / "a.ot")
+    write_bt(chosen, tmp_path / "a.bt")
+    full, binary = (read_octree(tmp_path / name) for name in ("a.ot", "a.bt"))
+    voxels = [sorted(map(tuple, one.occupied_voxels().tolist())) for one in (full, binary)]
+    assert voxels[0] == voxels[1]
+    sizes = [int((one.edges.astype(np.int64) ** 3).sum()) for one in (full, binary)]
+    assert sizes == [len(chosen.voxels()[0])] * 2
+
+
+def test_a_damaged_ot_is_refused(tmp_path, rng):
+    write_ot(random_map(rng), tmp_path / "a.ot")
+    whole = (tmp_path / "a.ot").read_bytes()
+    (tmp_path / "a.ot").write_bytes(whole[:-7])
+    with pytest.raises(MapFileError, match="nodes"):
+        read_octree(tmp_path / "a.ot")
+    start = whole.index(b"data\n") + 5
+    (tmp_path / "a.ot").write_bytes(whole[:start] + b"\xff" * (len(whole) - start))
+    with pytest.raises(MapFileError, match=r"truncated|beside"):
+        read_octree(tmp_path / "a.ot")

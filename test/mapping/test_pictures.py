@@ -17,6 +17,7 @@ from infomap_ros.mapping.files.pictures import (
     _draw,
     _open_side,
     _raster,
+    _sheet,
     _surface,
     _View,
     draw_map_views,
@@ -140,6 +141,13 @@ def test_sheet_says_what_it_shows_and_where_the_camera_was(tmp_path) -> None:
         for p in (matplotlib.image.imread(tmp_path / f"{name}.png") for name in ("without", "with"))
     ]
     assert red[1] > red[0] + 200
+
+
+@pytest.mark.parametrize(("tall", "flat", "rows"), [(0.1, 0.05, 3), (0.3, 0.1, 3), (0.8, 0.2, 2)])
+def test_what_is_long_lies_one_below_the_other(tall: float, flat: float, rows: int) -> None:
+    _, axes = _sheet(tall, flat)
+    tops = {round(one.get_position().y1, 3) for one in axes}
+    assert len(tops) == rows
 
 
 def test_picture_is_a_picture(tmp_path):

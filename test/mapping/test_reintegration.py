@@ -13,18 +13,27 @@ import pytest
 from infomap_ros.errors import CapacityError, InvalidInputError
 from infomap_ros.geometry import PinholeCamera, perturb_transform
 from infomap_ros.mapping import NOT_OBSERVED, VoxelMap, VoxelMapConfig
+from infomap_ros.mapping import NOT_OBSERVED as NOT_OBSERVED_ON_THE_WIRE
 from infomap_ros.mapping.correction.reintegration import (
     Reintegration,
     ReintegrationConfig,
+    ReintegrationReport,
     corrections,
     moved_scans,
-    reintegrate,
 )
 from infomap_ros.mapping.correction.scan_store import ScanStore, ScanStoreConfig, integrate_record
-from infomap_ros.team import NOT_OBSERVED as NOT_OBSERVED_ON_THE_WIRE
-from infomap_ros.team import MapReplica, MapUpdate, decode_update, encode_update
+from infomap_ros.team.replica import MapReplica
+from infomap_ros.team.update import MapUpdate
+from infomap_ros.team.wire import decode_update, encode_update
 from test.mapping.scenes import Scene, look_at, random_scene
 from test.mapping.voxels import voxels_of
+
+
+def reintegrate(voxel_map, store, new_poses, config=None) -> ReintegrationReport:
+    """Move scans to new poses at once."""
+    moved = moved_scans(store, new_poses, voxel_map, config)
+    return Reintegration(voxel_map, store, moved).finish()
+
 
 CAMERA = PinholeCamera(64, 48, 50.0, 50.0, 31.5, 23.5)
 CONFIG = VoxelMapConfig(voxel_size=0.08, max_range=3.0)

@@ -15,7 +15,8 @@ from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.mapping.correction.correctable_map import CorrectableMap
 from infomap_ros.mapping.voxels.surface_kernels import NOTHING, add_observations, inflation
-from infomap_ros.team import MapReplica, MapUpdate
+from infomap_ros.team.replica import MapReplica
+from infomap_ros.team.update import MapUpdate
 
 CAMERA = PinholeCamera(60, 48, 150.0, 150.0, 29.5, 23.5)
 WALL = CAMERA.back_project(np.full((48, 60), 1.025))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from infomap_ros.mapping.terrain.cubes import OPEN, SOLID, drop_specks
 from infomap_ros.mapping.terrain.measures import fill_holes, largest_steps, plane_misfits
@@ -15,21 +16,50 @@ def grid_with_holes(rng: np.random.Generator) -> np.ndarray:
     return heights
 
 
-def test_largest_step_is_that_of_the_neighbors_as_far_as_it_is_sure(rng):
+@pytest.mark.parametrize("edge", [0.02, 0.05])
+def test_largest_step_is_that_about_a_cell_as_far_as_it_is_sure(rng, edge):
     heights = grid_with_holes(rng)
     steps = np.empty_like(heights)
     sigmas = rng.uniform(0.0, 0.05, heights.shape)
-    largest_steps(heights, sigmas, steps)
-    padded = np.pad(heights, 1, constant_values=np.nan)
-    doubts = np.pad(sigmas, 1, constant_values=np.nan)
-    shifted = []
-    for a, b in np.ndindex(3, 3):
-        part = np.s_[a : a + heights.shape[0], b : b + heights.shape[1]]
-        doubt = 2.0 * np.sqrt(doubts[part] ** 2 + sigmas**2)
-        shifted.append(np.abs(padded[part] - heights) - doubt)
-    expected = np.nanmax(shifted, axis=0, initial=0.0)
-    expected[np.isnan(heights)] = np.nan
-    np.testing.assert_allclose(steps, expected, atol=1e-12)
+    largest_steps(heights, sigmas, edge, steps)
+    offsets = np.array(list(np.ndindex(5, 5))) - 2
+    lengths = np.hypot(*offsets.T)
+    near = (lengths > 0.0) & (lengths * edge <= max(0.05, 1.5 * edge))
+    expected = np.full(heights.shape, np.nan)
+    z, s = (np.pad(grid, 2, constant_values=np.nan) for grid in (heights, sigmas))
+
+    def sure(one: tuple, other: tuple) -> float:
+        return abs(z[one] - z[other]) - min(np.hypot(s[one], s[other]), edge / np.sqrt(6.0))
+
+    for i, j in np.argwhere(np.isfinite(heights)):
+        known = [0.0]
+        for (a, b), length in zip(offsets[near], lengths[near], strict=True):
+            here, one, other = (i + 2, j + 2), (i + 2 + a, j + 2 + b), (i + 2 - a, j + 2 - b)
+            known += [sure(one, here), sure(one, other) * min(1.0, 0.05 / (length * edge))]
+        expected[i, j] = np.nanmax(known)
+    np.testing.assert_allclose(steps, expected, atol=1e-9)
+
+
+@pytest.mark.parametrize("edge", [0.02, 0.05])
+def test_an_edge_that_is_blurred_is_a_step_in_cells_of_any_size(edge):
+    """0.1 m up over 0.1 m, whatever the cells; a slope of 20 degrees is none of 5.7 cm."""
+    x = (np.arange(round(0.8 / edge)) + 0.5) * edge
+    steps = np.empty((len(x), len(x)))
+    for rise, low, high in ((np.clip(x - 0.35, 0.0, 0.1), 0.07, 0.1), (0.36 * x, 0.02, 0.04)):
+        heights = np.repeat(rise[:, None], len(x), axis=1)
+        largest_steps(heights, np.zeros_like(heights), edge, steps)
+        assert low <= steps.max() + 1e-9 and steps.max() <= high + 1e-9
+
+
+def test_a_stone_of_which_little_is_known_is_no_ramp():
+    """12 cm on four cells, as seen from afar, with deviations that would hide it."""
+    heights, steps = np.zeros((8, 8)), np.empty((8, 8))
+    heights[3:5, 3:5], sigmas = 0.12, np.full((8, 8), 0.04)
+    largest_steps(heights, sigmas, 0.05, steps)
+    assert (steps[2:6, 2:6] > 0.09).all()
+    heights[heights > 0.0] = 0.05  # one cube: all that it may be is the edge of the ground's own
+    largest_steps(heights, sigmas, 0.05, steps)
+    assert steps.max() < 0.03
 
 
 def test_roughness_is_the_residual_of_least_squares(rng):

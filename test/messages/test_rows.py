@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from infomap_ros.errors import InvalidInputError, MalformedMessageError
 from infomap_ros.messages import RosbagsMessageTypes
 from infomap_ros.messages.rows import decode_rows, encode_rows
-from infomap_ros.team import OCCUPANCY_ROW, SURFACE_ROW
+from infomap_ros.team.wire import OCCUPANCY_ROW, SURFACE_ROW
 
 TYPES = RosbagsMessageTypes()
 

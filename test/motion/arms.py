@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from infomap_ros.motion import KinematicChain, RobotModel
-from infomap_ros.motion.robot.chain_kernels import fill_jacobian, place_chain
+from infomap_ros.motion.robot.chain import KinematicChain, fill_jacobian, place_chain
+from infomap_ros.motion.robot.robot_model import RobotModel
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 
@@ -101,7 +101,7 @@ def jacobian_of(chain: KinematicChain, q: np.ndarray) -> np.ndarray:
     """Of the camera's position above its rotation, shape (6, n), as inverse kinematics has it."""
     arrays = chain.arrays
     places = np.empty((len(arrays.columns) + 1, 3, 4))
-    place_chain(*arrays, np.asarray(q), places)
+    place_chain(arrays, np.asarray(q), places)
     jacobian = np.empty((6, len(chain)))
-    fill_jacobian(arrays.columns, arrays.scales, arrays.prismatic, places, jacobian)
+    fill_jacobian(arrays, places, jacobian)
     return jacobian

@@ -9,6 +9,7 @@ import numpy as np
 import pinocchio
 
 from infomap_ros.geometry.resources import find_share
+from infomap_ros.motion.collision.body import CollisionBody
 from infomap_ros.motion.robot.robot_model import RobotModel
 
 
@@ -16,6 +17,11 @@ def rover() -> RobotModel:
     return RobotModel.from_urdf(
         find_share("config/rover.urdf"), camera_frame="left_camera_optical_frame"
     )
+
+
+def compared_pairs(body: CollisionBody) -> tuple[tuple[str, str], ...]:
+    """Names of the links that are compared with each other."""
+    return tuple((body.links[a], body.links[b]) for a, b in body.arrays.pairs)
 
 
 class CoalBody:
@@ -35,8 +41,9 @@ class CoalBody:
     ) -> list[tuple[str, coal.CollisionGeometry, coal.Transform3s]]:
         model = self.robot.model
         data = model.createData()
-        q = self.robot.configuration(
-            {joint.name: 0.0 for joint in self.robot.joints} | dict(joints)
+        q = self.robot.mechanism.configuration(
+            {joint.name: 0.0 for joint in self.robot.joints} | dict(joints),
+            self.robot.mechanism.indices,
         )
         pinocchio.forwardKinematics(model, data, q)
         base = model.frames[model.getFrameId(self.robot.base_frame)]

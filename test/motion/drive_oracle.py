@@ -8,7 +8,7 @@ import math
 import numpy as np
 
 from infomap_ros.mapping.terrain.terrain import Terrain
-from infomap_ros.motion import Vehicle
+from infomap_ros.motion.base.vehicle import Vehicle
 
 STEPS = [(1, 0), (2, 1), (1, 1), (1, 2), (0, 1), (-1, 2), (-1, 1), (-2, 1)]
 STEPS += [(-a, -b) for a, b in STEPS]

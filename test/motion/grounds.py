@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from infomap_ros.mapping.terrain.measures import largest_steps, plane_misfits
 from infomap_ros.mapping.terrain.terrain import Terrain
-from infomap_ros.motion import RobotModel, Vehicle, VehicleConfig
+from infomap_ros.motion.base import stance as kernels
+from infomap_ros.motion.base.vehicle import Vehicle, VehicleConfig
+from infomap_ros.motion.robot.robot_model import RobotModel
 
 ROVER = Path(__file__).resolve().parents[2] / "config" / "rover.urdf"
 FOLDED = {"arm_shoulder_joint": -1.2, "arm_elbow_joint": 2.4}
@@ -43,7 +46,7 @@ def ground(
     everywhere = np.zeros((count, count))
     heights = height(x, y) + everywhere
     steps, roughness = np.empty_like(heights), np.empty_like(heights)
-    largest_steps(heights, everywhere + sigma, steps)
+    largest_steps(heights, everywhere + sigma, cell, steps)
     plane_misfits(heights, 2, 0.1, roughness)
     above = everywhere + (np.inf if overhead is None else overhead(x, y))
     known = everywhere + (10.0 if seen is None else seen(x, y))
@@ -87,3 +90,32 @@ def rover_model() -> RobotModel:
 def rover(**config: object) -> Vehicle:
     """The rover with its arm folded."""
     return Vehicle.from_robot(rover_model(), VehicleConfig(**config), FOLDED)
+
+
+@dataclass(frozen=True)
+class Stance:
+    """How a vehicle stands at one place, with its measures, NaN where they were not reached."""
+
+    T_map_base: np.ndarray
+    ok: bool
+    reason: str
+    tip_margin: float
+    slope: float
+    step: float
+    roughness: float
+    clearance: float
+
+
+def stance_of(vehicle, terrain, x, y, yaw, q=None):
+    batch = vehicle.stances(terrain, [[x, y, yaw]], q)
+    measures = batch.measures[0]
+    return Stance(
+        batch.T_map_base[0],
+        bool(batch.ok[0]),
+        vehicle.refusal(terrain, np.array([x, y, yaw], dtype=float), q),
+        float(measures[kernels.TIP]),
+        float(measures[kernels.SLOPE]),
+        float(measures[kernels.STEP]),
+        float(measures[kernels.ROUGHNESS]),
+        float(measures[kernels.CLEARANCE]),
+    )

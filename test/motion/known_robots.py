@@ -6,7 +6,7 @@ import importlib.metadata
 from pathlib import Path
 from typing import Any
 
-from infomap_ros.motion import RobotModel
+from infomap_ros.motion.robot.robot_model import RobotModel
 
 TIAGO_ARM = tuple(f"arm_{number}_joint" for number in range(1, 8))
 

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.motion import RobotModel
+from infomap_ros.motion.robot.robot_model import RobotModel
 
 
 def winding_inside(points: FloatArray, corners: Sequence[Sequence[float]]) -> np.ndarray:

@@ -7,7 +7,8 @@ import pytest
 
 from infomap_ros.errors import InvalidInputError
 from infomap_ros.motion.arm.arm_path import ArmPathConfig, plan_arm_path
-from infomap_ros.motion.collision.checker import CollisionBody, CollisionChecker
+from infomap_ros.motion.collision.body import CollisionBody
+from infomap_ros.motion.collision.checker import CollisionChecker
 from infomap_ros.motion.robot.robot_model import RobotModel
 from infomap_ros.motion.route import ArmPath
 
@@ -60,7 +61,7 @@ def test_ways_are_free_all_along(
     qs = rng.uniform(robot.arm.lower, robot.arm.upper, (400, 4))
     qs = qs[checker.are_free(qs, BASE)]
     pairs = zip(qs[::2], qs[1::2], strict=False)
-    blocked = [pair for pair in pairs if not checker.first_on_way(*pair, BASE).free][:8]
+    blocked = [pair for pair in pairs if checker.contact_on_way(*pair, BASE)][:8]
     assert len(blocked) >= 4
     for start, goal in blocked:
         path = plan_arm_path(checker, start, goal, BASE)
@@ -73,7 +74,7 @@ def test_camera_goes_through_the_gap(body: CollisionBody) -> None:
     """From in front of the wall to its far side, where only the window leads."""
     checker = CollisionChecker(body, field_where(wall_with_a_gap))
     through = np.array([1.5, 1.14, 0.44, 0.02])
-    assert checker.check(through, BASE).free
+    assert not checker.contact(through, BASE)
     camera = checker.body.chain.camera_pose(through)
     assert camera[1, 3] > 0.5
     path = plan_arm_path(checker, np.zeros(4), through, BASE)
@@ -134,7 +135,7 @@ def test_search_ends_where_there_is_no_way(body: CollisionBody) -> None:
 
 def test_start_that_touches_the_map_may_be_left(body: CollisionBody) -> None:
     checker = CollisionChecker(body, field_where(lambda x, y, z: x > 0.2))
-    assert not checker.check(np.zeros(4), BASE, base=False).free
+    assert checker.contact(np.zeros(4), BASE)
     path = plan_arm_path(checker, np.zeros(4), [0.0, -1.2, 0.0, -0.4], BASE)
     assert path.converged, path.reason
 

@@ -6,10 +6,15 @@ import numpy as np
 import pytest
 
 from infomap_ros.geometry import PinholeCamera, make_transform, points_inside
-from infomap_ros.motion.arm.arm_postures import ArmPostures
-from infomap_ros.motion.arm.driving_posture import driving_posture, sample_postures
-from infomap_ros.motion.arm.own_view import MOST_COVERED, OwnView
-from infomap_ros.motion.collision.checker import CollisionBody, CollisionChecker
+from infomap_ros.motion.arm.arm_postures import (
+    MOST_COVERED,
+    ArmPostures,
+    OwnView,
+    driving_posture,
+    sample_postures,
+)
+from infomap_ros.motion.collision.body import CollisionBody
+from infomap_ros.motion.collision.checker import CollisionChecker
 
 from .bodies import rover
 from .known_robots import tiago
@@ -52,7 +57,7 @@ def test_no_posture_reaches_beyond_the_radius_of_its_height_and_steepness(
 ) -> None:
     away = np.linalg.norm(postures.positions[:, :2], axis=1)
     radii = postures.radius_for(postures.positions[:, 2], postures.steepness)
-    assert (away <= radii).all() and radii.max() == postures.farthest < 1.0
+    assert (away <= radii).all() and radii.max() == postures.radii.max() < 1.0
     assert (postures.radius_for(np.array([3.0, -2.0]), np.zeros(2)) == 0.0).all()
 
 
@@ -65,7 +70,7 @@ def test_driving_posture_is_low_and_over_the_base(body: CollisionBody) -> None:
     """Lower than half of the upright arm, and within the wheels' outline as seen from above."""
     q = driving_posture(body)
     checker = CollisionChecker(body, field_where(lambda x, y, z: x > 1.9))
-    assert checker.check(q, np.eye(4)).free
+    assert not checker.contact(q, np.eye(4))
     moving = np.repeat(body.arrays.bodies > 0, np.diff(body.arrays.starts))
     spheres = body.spheres(q, np.eye(4))[moving]
     assert (spheres[:, 2] + spheres[:, 3]).max() < 0.5

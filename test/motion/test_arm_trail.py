@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from infomap_ros.geometry import make_transform
-from infomap_ros.motion.arm.arm_trail import ArmTrail, corners_of
-from infomap_ros.motion.arm.trajectory import time_path
+from infomap_ros.motion.arm.arm_path import time_path
 from infomap_ros.motion.reaching import WholeBodyReach
 from infomap_ros.motion.route import ArmPath, Route
+from infomap_ros.motion.route_planner import ArmTrail, corners_of
 
 from .bodies import rover
 from .scenes import map_where

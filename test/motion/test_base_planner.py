@@ -9,14 +9,15 @@ import numpy as np
 import pytest
 
 from infomap_ros.errors import ConfigError, InvalidInputError
-from infomap_ros.motion import BasePath, BasePlanner, BasePlannerConfig, Vehicle
-from infomap_ros.motion.base.drive_arcs import arc_points
-from infomap_ros.motion.base.drive_space import TURN_STEP
+from infomap_ros.motion.base.base_planner import BasePlanner
+from infomap_ros.motion.base.drive_graph import arc_points
+from infomap_ros.motion.base.drive_space import TURN_STEP, BasePath, BasePlannerConfig
 from infomap_ros.motion.base.stance import STANDS, tilt_to
 from infomap_ros.motion.base.standing_ground import with_standing_ground
+from infomap_ros.motion.base.vehicle import Vehicle
 
 from .drive_oracle import DriveOracle
-from .grounds import CELL, ground, plane, rover
+from .grounds import CELL, ground, plane, rover, stance_of
 
 HALF = 1.8
 
@@ -70,7 +71,7 @@ def searched(request, vehicle):
 def test_reached_cells_are_those_of_the_exhaustive_search(searched, vehicle):
     terrain, oracle, node = searched
     costs = oracle.costs_from(node)
-    planner = BasePlanner(terrain, vehicle, standing=np.zeros((0, 4, 4)))
+    planner = BasePlanner(terrain, vehicle)
     reached = planner.reachable_area(oracle.place_of(node))
     np.testing.assert_array_equal(reached, np.isfinite(costs).any(axis=2))
     assert 0.05 < reached.mean() < 0.8
@@ -83,7 +84,7 @@ def test_every_query_that_has_a_solution_is_solved(searched, vehicle, rng, sampl
     costs, start = oracle.costs_from(node), oracle.place_of(node)
     reached = np.argwhere(np.isfinite(costs).any(axis=2))
     standable = np.argwhere(oracle.nodes)
-    planner = BasePlanner(terrain, vehicle, standing=np.zeros((0, 4, 4)))
+    planner = BasePlanner(terrain, vehicle)
     outcomes = []
     for goal in standable[rng.integers(0, len(standable), 12)]:
         target = oracle.place_of(tuple(goal))
@@ -121,7 +122,7 @@ def test_paths_of_ompl_cost_no_more_and_stay_valid(searched, vehicle, rng):
     """Among posts: never dearer than the lattice's, and `Vehicle` accepts each stance."""
     terrain, oracle, node = searched
     reached = np.argwhere(np.isfinite(oracle.costs_from(node)))
-    planner = BasePlanner(terrain, vehicle, standing=np.zeros((0, 4, 4)))
+    planner = BasePlanner(terrain, vehicle)
     start, turn_cost, methods = oracle.place_of(node), planner.config.turn_cost, set()
     for goal in reached[rng.integers(0, len(reached), 8)]:
         target = oracle.place_of(tuple(goal))
@@ -160,7 +161,7 @@ def test_costs_of_the_search_are_the_smallest(searched, vehicle):
     """Dial's buckets count in twentieths of a cell: each move is rounded to one."""
     terrain, oracle, node = searched
     costs = oracle.costs_from(node)
-    planner = BasePlanner(terrain, vehicle, standing=np.zeros((0, 4, 4)))
+    planner = BasePlanner(terrain, vehicle)
     planner.reachable_area(oracle.place_of(node))
     found = planner._reach._graph.costs * CELL / 20.0
     both = np.isfinite(costs)
@@ -227,7 +228,7 @@ def test_start_on_ground_that_was_never_seen_does_not_lock(vehicle):
         return np.where((np.abs(x) < 0.28) & (np.abs(y) < 0.26), np.nan, 0.1 * x)
 
     terrain = ground(height, near=(0.0, 0.0, 0.0762))
-    assert not vehicle.stance(terrain, 0.0, 0.0, 0.0).ok
+    assert not stance_of(vehicle, terrain, 0.0, 0.0, 0.0).ok
     here = np.eye(4)
     tilt_to(here, 0.0, 0.1, 0.0)
     here[2, 3] = 0.0762 * np.hypot(1.0, 0.1)
@@ -238,20 +239,6 @@ def test_start_on_ground_that_was_never_seen_does_not_lock(vehicle):
     is_drivable(path, planner)
 
 
-def test_ground_of_earlier_poses_counts_as_known(vehicle):
-    """Two islands that were never seen, in each of which the robot has stood."""
-
-    def height(x, y):
-        return np.where((np.abs(np.abs(x) - 0.8) < 0.3) & (np.abs(y) < 0.3), np.nan, 0.0)
-
-    poses = np.stack([np.eye(4), np.eye(4)])
-    poses[:, :3, 3] = [(-0.8, 0.0, 0.0762), (0.8, 0.0, 0.0762)]
-    alone = BasePlanner(ground(height), vehicle, standing=poses[0])
-    both = BasePlanner(ground(height), vehicle, standing=poses)
-    assert not alone.plan((-0.8, 0.0, 0.0), (0.8, 0.0, 0.0)).complete
-    assert both.plan((-0.8, 0.0, 0.0), (0.8, 0.0, 0.0)).complete
-
-
 def test_robot_that_stands_where_it_should_not_may_leave(vehicle):
     """A post has come to stand next to the wheel."""
 
@@ -259,12 +246,12 @@ def test_robot_that_stands_where_it_should_not_may_leave(vehicle):
         return np.where(np.hypot(x - 0.16, y - 0.24) < 0.03, 0.5, 0.0)
 
     terrain = ground(height)
-    assert not vehicle.stance(terrain, 0.0, 0.0, 0.0).ok
-    path = BasePlanner(terrain, vehicle, standing=np.zeros((0, 4, 4))).plan((0, 0, 0), (-1, 0, 0))
+    assert not stance_of(vehicle, terrain, 0.0, 0.0, 0.0).ok
+    path = BasePlanner(terrain, vehicle).plan((0, 0, 0), (-1, 0, 0))
     assert path.complete
-    locked = BasePlanner(
-        terrain, vehicle, BasePlannerConfig(escape=0.0), standing=np.zeros((0, 4, 4))
-    ).plan((0, 0, 0), (-1, 0, 0))
+    locked = BasePlanner(terrain, vehicle, BasePlannerConfig(escape=0.0)).plan(
+        (0, 0, 0), (-1, 0, 0)
+    )
     assert not locked.complete and len(locked.poses) == 0
     assert locked.reason.startswith("the robot cannot leave its place: ")
 
@@ -291,7 +278,7 @@ def test_false_ground_under_the_robot_makes_no_step_beside_it(vehicle, place):
     terrain = ground(lambda x, y: 0.25 * (np.hypot(x - place[0], y - place[1]) < 0.04))
     standing = np.eye(4)
     standing[2, 3] = 0.0762
-    assert not vehicle.stance(terrain, 0.0, 0.0, 0.0).ok
+    assert not stance_of(vehicle, terrain, 0.0, 0.0, 0.0).ok
     known = with_standing_ground(terrain, vehicle, standing)
     np.testing.assert_allclose(known.step, 0.0, atol=1e-6)
     moved = [(x, y, yaw) for x in (-0.1, 0.0, 0.1) for y in (-0.1, 0.1) for yaw in (0.0, 0.5)]
@@ -321,12 +308,9 @@ def test_ground_declared_at_the_edge_of_the_map_has_no_step(vehicle):
     assert len(at_edge) and (at_edge == 0.0).all()
 
 
-def test_reachable_area_needs_a_start_once(vehicle):
+def test_reachable_area_ends_at_a_wall(vehicle):
     planner = BasePlanner(walled(None), vehicle)
-    with pytest.raises(InvalidInputError, match="start"):
-        planner.reachable_area()
     area = planner.reachable_area((0.0, 0.0, 0.0))
-    np.testing.assert_array_equal(planner.reachable_area(), area)
     assert not area[:, planner.terrain.cells_of((0.0, 1.2))[1] :].any()
 
 
@@ -377,43 +361,6 @@ def test_arc_links_two_headings(rng):
         half = points[:-1, 2] + 0.5 * np.diff(points[:, 2])
         ahead = sign * (step[:, 0] * np.cos(half) + step[:, 1] * np.sin(half))
         assert (ahead > 0.99 * np.hypot(*step.T) - 1e-9).all()
-
-
-def test_what_was_found_out_is_kept_where_the_ground_is_the_same(vehicle):
-    """The answer is that of a planner that knows nothing, for fewer questions."""
-    before, after = cluttered(1), cluttered(1)
-    after.heights[50:55, 12:20] += 0.4
-    after.step[49:56, 11:21] = 0.4
-    wider = dataclasses.replace(
-        after,
-        origin=(after.origin[0] - 3 * CELL, after.origin[1] + 2 * CELL),
-        **{
-            name: np.pad(getattr(after, name), ((3, 0), (0, 0)), mode="edge")[:, 2:]
-            for name in ("heights", "sigma", "roughness", "step", "floor", "overhead", "seen")
-        },
-    )
-    nothing = np.zeros((0, 4, 4))
-    first = BasePlanner(before, vehicle, standing=nothing)
-    first.reachable_area((0.0, 0.0, 0.0))
-    second = BasePlanner(wider, vehicle, standing=nothing, previous=first)
-    kept = (second._space.graph.nodes != 0).sum()
-    fresh = BasePlanner(wider, vehicle, standing=nothing)
-    assert kept > 0.2 * (first._space.graph.nodes != 0).sum()
-    area = fresh.reachable_area((0.0, 0.0, 0.0))
-    np.testing.assert_array_equal(second.reachable_area((0.0, 0.0, 0.0)), area)
-    both = (second._space.graph.nodes != 0) & (fresh._space.graph.nodes != 0)
-    np.testing.assert_array_equal(second._space.graph.nodes[both], fresh._space.graph.nodes[both])
-    assert not np.array_equal(area[3:, :], first.reachable_area()[:, 2:])
-
-
-def test_other_vehicle_keeps_nothing(vehicle):
-    terrain = cluttered(1)
-    first = BasePlanner(terrain, vehicle, standing=np.zeros((0, 4, 4)))
-    first.reachable_area((0.0, 0.0, 0.0))
-    higher = rover(margin=0.05)
-    second = BasePlanner(terrain, higher, standing=np.zeros((0, 4, 4)), previous=first)
-    fresh = BasePlanner(terrain, higher, standing=np.zeros((0, 4, 4)))
-    np.testing.assert_array_equal(second._space.graph.nodes, fresh._space.graph.nodes)
 
 
 def test_nonsense_is_refused_by_name(vehicle):

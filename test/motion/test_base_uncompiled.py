@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from infomap_ros.motion import BasePlanner
+from infomap_ros.motion.base.base_planner import BasePlanner
 
 from .grounds import ground, rough, rover
 
@@ -38,7 +38,7 @@ def answers() -> dict[str, np.ndarray]:
         "outcomes": batch.outcomes,
         "measures": batch.measures,
         "poses": batch.T_map_base,
-        "area": planner.reachable_area(),
+        "area": planner.reachable_area((0.0, 0.0, 0.0)),
         "path": path.poses,
     }
 

@@ -7,9 +7,9 @@ import pytest
 
 from infomap_ros.geometry import make_transform
 from infomap_ros.geometry.resources import find_share
-from infomap_ros.motion import RobotModel
-from infomap_ros.motion.arm.camera_heights import camera_heights, random_postures, robot_bottom
-from infomap_ros.motion.collision.clear_start import ClearStart
+from infomap_ros.motion.base.standing_ground import ClearStart
+from infomap_ros.motion.robot.robot_model import RobotModel
+from infomap_ros.motion.robot.solid_extent import camera_heights, random_postures, robot_bottom
 
 WHEEL_RADIUS, SHOULDER, UPPER, FOREARM, WRIST = 0.0762, 0.11 + 0.1382, 0.3442, 0.2286, 0.0893
 

@@ -10,7 +10,8 @@ import pinocchio
 import pytest
 
 from infomap_ros.errors import InvalidInputError, RobotModelError
-from infomap_ros.motion import KinematicChain, RobotModel
+from infomap_ros.motion.robot.chain import KinematicChain
+from infomap_ros.motion.robot.robot_model import RobotModel
 
 from .arms import jacobian_of
 
@@ -56,6 +57,11 @@ TREE = """
 
 def tree(base_frame: str = "root", camera_frame: str = "camera") -> RobotModel:
     return RobotModel.from_urdf(TREE, camera_frame=camera_frame, base_frame=base_frame)
+
+
+def with_arm(robot: RobotModel, joints: list[str], held: dict[str, float]) -> RobotModel:
+    frames = robot.base_frame, robot.camera_frame
+    return RobotModel(robot.mechanism, robot.shapes, *frames, joints, held)
 
 
 def rover() -> RobotModel:
@@ -143,7 +149,7 @@ def test_joints_and_limits_are_in_the_order_from_the_base_to_the_camera():
 
 def test_chosen_joints_move_and_the_others_are_held(rng):
     robot = tree()
-    chain = robot.chain(["shoulder"], held={"base_turn": 0.8})
+    chain = with_arm(robot, ["shoulder"], {"base_turn": 0.8}).arm
     assert chain.joint_names == ("shoulder",)
     for (shoulder,) in random_positions(chain, rng, 5):
         # The slide is held at 0.1 m, where it is nearest to zero.
@@ -181,7 +187,7 @@ def test_positions_by_name_and_back():
 @pytest.mark.parametrize("held", [{"elbow": 1.0}, {"follower": 1.0}, {"slide": math.nan}])
 def test_positions_that_cannot_be_held_are_refused(held):
     with pytest.raises(RobotModelError, match=next(iter(held))):
-        tree().chain(["shoulder"], held=held)
+        with_arm(tree(), ["shoulder"], held)
 
 
 def test_a_robot_without_a_camera_frame_has_no_arm():

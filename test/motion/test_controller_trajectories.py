@@ -14,7 +14,7 @@ from infomap_ros.motion.arm.controller_trajectories import (
     split_trajectory,
     stopping_path,
 )
-from infomap_ros.motion.robot.joint_limits import JointLimits
+from infomap_ros.motion.robot.mechanism import JointLimits
 from infomap_ros.motion.route import ArmPath
 
 TABLE = {"torso": ("lift",), "arm": ("pan", "tilt")}

@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 
 from infomap_ros.geometry import invert_transform, make_transform
-from infomap_ros.motion import BasePath, BasePlanner, BasePlannerConfig
 from infomap_ros.motion.base import driven_path
-from infomap_ros.motion.base.drive_links import links_for
-from infomap_ros.motion.base.drive_space import DriveSpace
+from infomap_ros.motion.base.base_planner import BasePlanner
+from infomap_ros.motion.base.drive_space import BasePath, BasePlannerConfig, DriveSpace, links_for
 from infomap_ros.motion.base.path_following import PathFollower, PathFollowingConfig
 from infomap_ros.simulation.body.drive_train import planar
 from infomap_ros.simulation.cameras.stereo_camera import StereoCameraConfig

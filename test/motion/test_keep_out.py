@@ -8,14 +8,13 @@ import pytest
 from infomap_ros.geometry import Polygon
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping.terrain.terrain import Terrain
-from infomap_ros.motion import BasePath, BasePlanner, Vehicle
-from infomap_ros.motion.base.base_path import BasePlannerConfig
-from infomap_ros.motion.base.drive_time import drive_seconds
-from infomap_ros.motion.base.path_following import PathFollowingConfig
+from infomap_ros.motion.base.base_planner import BasePlanner, LeavingPlanner
+from infomap_ros.motion.base.drive_space import BasePath, BasePlannerConfig
+from infomap_ros.motion.base.path_following import PathFollowingConfig, drive_seconds
+from infomap_ros.motion.base.vehicle import Vehicle
 from infomap_ros.motion.keep_out import KeepOut, with_closed_ground, with_keep_out
-from infomap_ros.motion.leaving import LeavingPlanner
 
-from .grounds import FOLDED, ground, plane, rover, rover_model
+from .grounds import FOLDED, ground, plane, rover, rover_model, stance_of
 from .polygons import footprint_points, placed, winding_inside
 
 HALF = 2.6
@@ -24,7 +23,6 @@ BLOCK = Polygon.of([(0.6, -0.7), (1.1, -0.8), (1.2, 0.9), (0.5, 0.6)], "stairs")
 CORNER = Polygon.of([(-1.5, 0.5), (-0.6, 0.5), (-0.6, 0.9), (-1.1, 0.9), (-1.1, 1.6), (-1.5, 1.6)])
 FENCE = Polygon.of([(-2.2, -1.6), (2.3, -1.7), (2.2, 1.9), (-2.0, 1.8)], "yard")
 RULES = KeepOut((BLOCK, CORNER), (FENCE,))
-STANDING = np.zeros((0, 4, 4))
 
 
 @pytest.fixture(scope="module")
@@ -67,8 +65,8 @@ def test_no_pose_of_a_path_breaks_a_rule(
 ) -> None:
     """By the lattice alone and with OMPL; without rules some of these paths would."""
     config = BasePlannerConfig(turning_radius=turning_radius)
-    kept = BasePlanner(with_keep_out(terrain, RULES), vehicle, config, STANDING)
-    free = BasePlanner(terrain, vehicle, config, STANDING)
+    kept = BasePlanner(with_keep_out(terrain, RULES), vehicle, config)
+    free = BasePlanner(terrain, vehicle, config)
     start, complete, would, methods = np.array([-0.3, -0.3, 0.2]), 0, 0, set()
     assert not broken(start[None], footprint, RULES).any()
     for goal in places(7, 20):
@@ -109,13 +107,13 @@ def test_a_pose_is_refused_exactly_where_the_body_is_near(
 
 def test_the_reason_names_the_region(terrain: Terrain, vehicle: Vehicle) -> None:
     closed = with_keep_out(terrain, RULES)
-    assert vehicle.stance(closed, 0.9, 0.0, 0.0).reason == (
+    assert stance_of(vehicle, closed, 0.9, 0.0, 0.0).reason == (
         "the base would stand in or next to keep-out region 'stairs'"
     )
-    outside = vehicle.stance(closed, 2.2, -1.0, 0.0).reason
+    outside = stance_of(vehicle, closed, 2.2, -1.0, 0.0).reason
     assert outside == "the base would stand outside or next to geofence 'yard'"
-    assert vehicle.stance(closed, -0.3, -0.3, 0.0).ok
-    path = BasePlanner(closed, vehicle, standing=STANDING).plan((-0.3, -0.3, 0.0), (0.9, 0.0, 0.0))
+    assert stance_of(vehicle, closed, -0.3, -0.3, 0.0).ok
+    path = BasePlanner(closed, vehicle).plan((-0.3, -0.3, 0.0), (0.9, 0.0, 0.0))
     assert not path.complete
     assert "in or next to keep-out region 'stairs'" in path.reason
 
@@ -133,7 +131,7 @@ def leaving(terrain: Terrain, vehicle: Vehicle, inside: KeepOut, others: KeepOut
         with_closed_ground(terrain, others.closed_ground(terrain)),
         vehicle,
         BasePlannerConfig(),
-        STANDING,
+        None,
     )
 
 

@@ -10,10 +10,10 @@ import pytest
 
 from infomap_ros.geometry import make_transform
 from infomap_ros.mapping import VoxelMap
-from infomap_ros.motion import RobotModel
-from infomap_ros.motion.base.vehicle_config import VehicleConfig
-from infomap_ros.motion.collision.collision_config import CollisionConfig
+from infomap_ros.motion.base.vehicle import VehicleConfig
+from infomap_ros.motion.collision.body import CollisionConfig
 from infomap_ros.motion.reaching import ReachingConfig, WholeBodyReach
+from infomap_ros.motion.robot.robot_model import RobotModel
 
 from .known_robots import TELESCOPE, TIAGO_ARM, stretch, tiago
 from .scenes import map_where

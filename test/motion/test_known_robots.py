@@ -10,8 +10,8 @@ import pytest
 
 from infomap_ros.errors import ConfigError
 from infomap_ros.geometry import Box, Cylinder, Sphere, points_inside
-from infomap_ros.motion import RobotModel, solve_ik_batch
-from infomap_ros.motion.robot.description_config import DescriptionConfig
+from infomap_ros.motion.arm.inverse_kinematics import solve_ik_batch
+from infomap_ros.motion.robot.robot_model import DescriptionConfig, RobotModel
 from infomap_ros.motion.robot.urdf import read_urdf
 
 from .arms import jacobian_of, random_positions
@@ -41,7 +41,9 @@ def test_the_chain_is_that_of_pinocchio(name, rng):
     for q in random_positions(chain, rng, 10):
         expected = placed(robot, q, robot.camera_frame)
         np.testing.assert_allclose(chain.camera_pose(q), expected, atol=1e-12)
-        full = robot.configuration(resting(robot) | chain.by_name(q))
+        full = robot.mechanism.configuration(
+            resting(robot) | chain.by_name(q), robot.mechanism.indices
+        )
         jacobian = pinocchio.computeFrameJacobian(
             model, data, full, camera, pinocchio.ReferenceFrame.LOCAL_WORLD_ALIGNED
         )
@@ -75,7 +77,7 @@ def test_every_vertex_of_the_collision_meshes_is_in_the_body(name, rng):
         robot.model, xml, pinocchio.GeometryType.COLLISION, package_dirs=folders
     )
     data, geometry_data = robot.model.createData(), pinocchio.GeometryData(geometry)
-    q = robot.configuration(positions)
+    q = robot.mechanism.configuration(positions, robot.mechanism.indices)
     pinocchio.updateGeometryPlacements(robot.model, data, geometry, geometry_data, q)
     pinocchio.updateFramePlacements(robot.model, data)
     T_base_root = data.oMf[robot.model.getFrameId(robot.base_frame)].inverse()
@@ -142,7 +144,8 @@ def test_the_body_of_stretch_needs_no_wheels():
 def test_the_lift_of_tiago_can_be_left_out(rng):
     robot = tiago(arm_joints=TIAGO_ARM)
     assert robot.arm.joint_names == TIAGO_ARM
-    raised = robot.chain(TIAGO_ARM, held={"torso_lift_joint": 0.3})
+    frames, held = (robot.base_frame, robot.camera_frame), {"torso_lift_joint": 0.3}
+    raised = RobotModel(robot.mechanism, robot.shapes, *frames, TIAGO_ARM, held).arm
     q = random_positions(raised, rng, 1)[0]
     holding = robot.holding({"torso_lift_joint": 0.3, "arm_1_joint": 9.0, "unknown": 1.0}).arm
     np.testing.assert_array_equal(holding.camera_pose(q), raised.camera_pose(q))

@@ -9,7 +9,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from infomap_ros.errors import RobotModelError
-from infomap_ros.motion import RobotModel, solve_ik
+from infomap_ros.motion.arm.inverse_kinematics import solve_ik
+from infomap_ros.motion.robot.robot_model import RobotModel
 
 from .arms import jacobian_of
 

@@ -8,8 +8,8 @@ import pytest
 from infomap_ros.geometry import Cylinder, PlacedSolid, make_transform
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.motion.arm.arm_path import plan_arm_path
-from infomap_ros.motion.collision.checker import CollisionBody
-from infomap_ros.motion.collision.near_space import NearSpace
+from infomap_ros.motion.collision.body import CollisionBody
+from infomap_ros.motion.collision.checker import NearSpace
 
 from .bodies import rover
 from .scenes import map_where
@@ -34,17 +34,17 @@ def nothing_known() -> VoxelMap:
 
 def test_body_and_a_little_around_it_are_free(body: CollisionBody) -> None:
     checker = space(body, nothing_known()).checker_at(BASE)
-    assert checker.check(np.zeros(4), BASE).free
+    assert not checker.contact(np.zeros(4), BASE)
     spheres = body.spheres(np.zeros(4), BASE)
     away = checker.field.clearances(spheres[:, :3], 0.5) - spheres[:, 3]
     assert away.min() >= 0.05 - body.config.tolerance - 1e-6
-    assert not checker.check([0.0, 1.0, 0.0, 0.0], BASE).free
+    assert checker.contact([0.0, 1.0, 0.0, 0.0], BASE)
 
 
 def test_declared_space_is_free(body: CollisionBody) -> None:
     declared = PlacedSolid(Cylinder(1.2, 2.4), BASE)
     checker = space(body, nothing_known(), known_free=(declared,)).checker_at(BASE)
-    assert checker.check([0.0, 1.0, 0.0, 0.0], BASE, base=False).free
+    assert not checker.contact([0.0, 1.0, 0.0, 0.0], BASE)
 
 
 def test_what_was_seen_in_declared_space_still_blocks(body: CollisionBody) -> None:
@@ -54,7 +54,7 @@ def test_what_was_seen_in_declared_space_still_blocks(body: CollisionBody) -> No
     )
     declared = PlacedSolid(Cylinder(1.2, 2.4), BASE)
     checker = space(body, post, known_free=(declared,)).checker_at(BASE)
-    assert "with the map at" in checker.check([0.0, 1.3, 0.0, 0.0], BASE).what
+    assert "with the map at" in checker.contact([0.0, 1.3, 0.0, 0.0], BASE)
 
 
 def test_robot_that_was_mapped_as_an_obstacle_can_move_away(body: CollisionBody) -> None:
@@ -89,15 +89,11 @@ def test_what_was_mapped_at_the_foot_of_the_arm_does_not_hold_the_arm(body: Coll
     seen = map_where(speck, lambda x, y, z: z > -1.0)
     goal = np.array([1.5, -0.8, 0.3, 0.0])
     here = space(body, seen)
-    assert (
-        here.checker_around(BASE[None])
-        .check(goal, BASE, base=False)
-        .what.startswith("arm_turret with the map")
-    )
+    assert here.checker_around(BASE[None]).contact(goal, BASE).startswith("arm_turret with the map")
     path = plan_arm_path(here.checker_at(BASE), np.zeros(4), goal, BASE)
     assert path.converged, path.reason
     # Nothing else may touch them, nor may the foot stand where they are.
     wall = map_where(lambda x, y, z: x > 0.9, lambda x, y, z: z > -1.0)
-    assert not space(body, wall).checker_at(BASE).check([0.0, 1.4, 0.0, 0.0], BASE).free
+    assert space(body, wall).checker_at(BASE).contact([0.0, 1.4, 0.0, 0.0], BASE)
     beside = BASE @ make_transform(np.eye(3), (-0.1, 0.0, 0.0))
-    assert not here.checker_at(beside).check(goal, beside, base=False).free
+    assert here.checker_at(beside).contact(goal, beside)

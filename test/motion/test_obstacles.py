@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from infomap_ros.errors import InvalidInputError
-from infomap_ros.motion.collision.obstacles import Obstacle, with_obstacles
+from infomap_ros.motion.keep_out import Obstacle, with_obstacles
 from infomap_ros.motion.reaching import WholeBodyReach
 from infomap_ros.motion.robot.robot_model import RobotModel
 

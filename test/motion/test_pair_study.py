@@ -13,11 +13,13 @@ from infomap_ros.errors import ConfigError
 from infomap_ros.geometry import make_transform
 from infomap_ros.mapping.distance_field import field_of_blocked
 from infomap_ros.motion.arm.arm_path import plan_arm_path
-from infomap_ros.motion.arm.driving_posture import compact_postures, driving_posture
-from infomap_ros.motion.collision.checker import CollisionBody, CollisionChecker, CollisionConfig
+from infomap_ros.motion.arm.arm_postures import compact_postures, driving_posture
+from infomap_ros.motion.collision.body import CollisionBody, CollisionConfig
+from infomap_ros.motion.collision.checker import CollisionChecker
 from infomap_ros.motion.collision.kernels import is_free
 from infomap_ros.motion.robot.robot_model import RobotModel
 
+from .bodies import compared_pairs
 from .known_robots import TELESCOPE, TIAGO_ARM, panda, stretch, tiago, ur5
 
 BASE = make_transform(np.eye(3), [0.0, 0.0, 0.0])
@@ -60,7 +62,7 @@ def touching(robot: RobotModel, q: np.ndarray) -> set[frozenset[str]]:
 def test_what_is_free_touches_nothing_that_is_compared(name, rng):
     checker = checker_of(name)
     robot = checker.body.robot
-    compared = {frozenset(pair) for pair in checker.body.compared_pairs}
+    compared = {frozenset(pair) for pair in compared_pairs(checker.body)}
     qs = random_configurations(robot, rng, 60)
     free = checker.are_free(qs, BASE)
     contact = np.array([bool(touching(robot, q) & compared) for q in qs])
@@ -72,7 +74,7 @@ def test_what_is_free_touches_nothing_that_is_compared(name, rng):
 def test_the_posture_to_drive_in_truly_touches_nothing(name):
     """Which is the least of thousands, and so the likeliest to be just what spheres do not tell."""
     body = checker_of(name).body
-    compared = {frozenset(pair) for pair in body.compared_pairs}
+    compared = {frozenset(pair) for pair in compared_pairs(body)}
     for q in (driving_posture(body), *compact_postures(body, 3)):
         assert not touching(body.robot, q) & compared
 
@@ -81,7 +83,7 @@ def test_the_posture_to_drive_in_truly_touches_nothing(name):
 def test_links_that_are_not_compared_are_joined_or_touch_at_rest_or_mostly(name, rng):
     checker = checker_of(name)
     robot, tree = checker.body.robot, checker.body.tree
-    compared = {frozenset(pair) for pair in checker.body.compared_pairs}
+    compared = {frozenset(pair) for pair in compared_pairs(checker.body)}
     carrier = [0, *tree.arrays.parents]
     body_of = {shape.link: int(tree.bodies[shape.joint]) for shape in robot.shapes}
     rest = np.array([robot.joint(joint).rest for joint in robot.arm.joint_names])
@@ -102,7 +104,7 @@ def test_ways_of_the_arm_are_found(name, rng):
     space, scratch = checker.space(BASE), checker.body.scratch()
     space = space._replace(gaps=space.gaps - space.kept - 1e-9)  # the margin itself may be used up
     for path in paths:
-        assert all(is_free(space, q, scratch) for q in path.positions)
+        assert all(is_free(space, q, space.T_map_base, scratch) for q in path.positions)
 
 
 @pytest.mark.parametrize("name", ["panda", "ur5", "tiago"])
@@ -110,20 +112,20 @@ def test_a_robot_at_rest_is_free(name):
     checker = checker_of(name)
     robot = checker.body.robot
     rest = [robot.joint(joint).rest for joint in robot.arm.joint_names]
-    assert checker.check(rest, BASE).what == ""
+    assert checker.contact(rest, BASE) == ""
 
 
 def test_stretch_is_free_with_its_arm_raised():
     checker = checker_of("stretch")
-    report = checker.check([0.6, 0.1, 0.5, 0.0, 0.0], BASE)
-    assert report.what == ""
+    touched = checker.contact([0.6, 0.1, 0.5, 0.0, 0.0], BASE)
+    assert touched == ""
 
 
 def test_contacts_can_be_allowed():
     config = CollisionConfig(allowed_contacts=("panda_link[01]:panda_link5",))
     body = CollisionBody.from_robot(panda(), config)
-    before = set(checker_of("panda").body.compared_pairs)
-    after = set(body.compared_pairs)
+    before = set(compared_pairs(checker_of("panda").body))
+    after = set(compared_pairs(body))
     assert before - after == {
         ("panda_link0", "panda_link5"), ("panda_link1", "panda_link5"),
     }  # fmt: skip

@@ -5,8 +5,12 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from infomap_ros.motion.base.path_driving import PathDriving
-from infomap_ros.motion.base.path_following import PathFollowingConfig, split_path, wrap
+from infomap_ros.motion.base.path_following import (
+    PathDriving,
+    PathFollowingConfig,
+    split_path,
+    wrap,
+)
 
 CONFIG = PathFollowingConfig()
 PERIOD = 0.05

@@ -8,13 +8,12 @@ from scipy.spatial.transform import Rotation
 
 from infomap_ros.geometry import make_transform
 from infomap_ros.motion.base.base_planner import BasePlanner
-from infomap_ros.motion.base.pose_margin import base_sigma, widenings_for
-from infomap_ros.motion.base.vehicle import Vehicle
-from infomap_ros.motion.base.vehicle_config import VehicleConfig
+from infomap_ros.motion.base.vehicle import Vehicle, VehicleConfig
 from infomap_ros.motion.reaching import WholeBodyReach
+from infomap_ros.motion.whole_body import base_sigma, widenings_for
 
 from .bodies import rover
-from .grounds import FOLDED, ground, rover_model
+from .grounds import FOLDED, ground, rover_model, stance_of
 from .scenes import map_where
 from .test_reaching import BASE, everything, looking
 
@@ -124,7 +123,7 @@ def test_body_is_no_wider_than_where_it_stands_allows(joints) -> None:
 
         closed = map_where(beside, everything)
         reach = WholeBodyReach(robot, closed, BASE, joints, sigma=0.1)
-        if reach.planner.vehicle.stance(reach.terrain, 0.0, 0.0, 0.0).ok:
+        if stance_of(reach.planner.vehicle, reach.terrain, 0.0, 0.0, 0.0).ok:
             break
     assert gap < 0.5 and reach.planner.vehicle.wider < 0.06
 
@@ -133,13 +132,13 @@ def test_robot_nearer_than_its_margin_leaves_without_turning_into_what_is_there(
     """It stands with its side at a bank that ends a little behind it, and may not turn there."""
     config = VehicleConfig(margin=0.06)
     vehicle = Vehicle.from_robot(rover_model(), config, FOLDED)
-    bare, start = vehicle.without_margin(), np.zeros(3)
+    bare, start = vehicle.without_margin, np.zeros(3)
     edge = next(
-        edge for edge in np.arange(0.2, 0.6, 0.01) if bare.stance(bank(edge), 0.0, 0.0, 0.0).ok
+        edge for edge in np.arange(0.2, 0.6, 0.01) if stance_of(bare, bank(edge), 0.0, 0.0, 0.0).ok
     )
     terrain = bank(edge)
-    assert not vehicle.stance(terrain, 0.0, 0.0, 0.0).ok
-    assert not bare.stance(terrain, 0.0, 0.0, 0.8).ok
+    assert not stance_of(vehicle, terrain, 0.0, 0.0, 0.0).ok
+    assert not stance_of(bare, terrain, 0.0, 0.0, 0.8).ok
     planner = BasePlanner(terrain, vehicle)
     path = planner.plan(start, (0.0, -1.2, np.nan), samples=0)
     assert path.complete, path.reason

@@ -7,7 +7,7 @@ import pytest
 
 from infomap_ros.errors import ConfigError, RobotModelError
 from infomap_ros.geometry import make_transform, points_inside
-from infomap_ros.motion.collision.clear_start import ClearStart
+from infomap_ros.motion.base.standing_ground import ClearStart
 from infomap_ros.motion.reaching import ReachingConfig, WholeBodyReach
 from infomap_ros.motion.robot.robot_model import RobotModel
 from infomap_ros.motion.route import ReachResult
@@ -219,7 +219,7 @@ def test_driving_posture_must_fit_the_arm(robot: RobotModel, joints: dict[str, f
         WholeBodyReach(robot, map_where(ground, everything), BASE, joints, config)
 
 
-def test_ground_searched_before_is_searched_anew_only_where_it_has_changed(
+def test_an_instance_before_does_not_change_what_is_said_of_the_ground(
     robot: RobotModel, joints: dict[str, float], gate: WholeBodyReach
 ) -> None:
     """A gate that closes: what is said with the instance before is what is said without it."""
@@ -230,16 +230,6 @@ def test_ground_searched_before_is_searched_anew_only_where_it_has_changed(
     expected = alone.planner.reachable_area(alone._xyyaw)
     np.testing.assert_array_equal(after.planner.reachable_area(after._xyyaw), expected)
     assert expected.sum() < area.sum()
-
-
-def test_ground_searched_before_is_handed_on_by_an_instance_that_did_not_search(
-    robot: RobotModel, joints: dict[str, float], gate: WholeBodyReach
-) -> None:
-    searched = gate.planner
-    between = WholeBodyReach(robot, gate._map, BASE, joints, previous=gate)
-    after = WholeBodyReach(robot, gate._map, BASE, joints, previous=between)
-    assert between._last_planner is searched is after._last_planner
-    assert after.planner is not searched and after._last_planner is after.planner
 
 
 @pytest.mark.parametrize("x", [1.0, -0.3])
@@ -291,6 +281,6 @@ def test_another_compact_posture_drives_where_the_usual_one_is_blocked(
     assert result.route is not None and result.route.moves_base
     q = result.route.arm_before.positions[-1]
     np.testing.assert_allclose(q, reach._whole.driving)
-    assert reach.near.checker_at(BASE).check(q, BASE, base=False).free
+    assert not reach.near.checker_at(BASE).contact(q, BASE)
     outline = np.abs(body.spheres(q, np.eye(4))[moves][:, :2]).max()
     assert reach.planner.vehicle.arrays.reach >= outline  # it drives with the outline of that

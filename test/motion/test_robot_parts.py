@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from infomap_ros.geometry.resources import find_share
-from infomap_ros.motion import RobotModel
+from infomap_ros.motion.robot.robot_model import RobotModel
 from infomap_ros.simulation.robots.camera_parts import find_arm_ends, find_cameras, find_telescopes
 from infomap_ros.simulation.robots.wheel_parts import find_wheels
 

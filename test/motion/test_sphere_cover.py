@@ -7,7 +7,7 @@ import pytest
 
 from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry import Box, ConvexPolytope, Cylinder, Solid, Sphere
-from infomap_ros.motion.collision.sphere_cover import cover_by_spheres
+from infomap_ros.motion.collision.body import cover_by_spheres
 
 SOLIDS = [
     Sphere(0.026),

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from infomap_ros.errors import ConfigError, InvalidInputError
-from infomap_ros.motion.arm.corner_blends import FreeWay
-from infomap_ros.motion.arm.trajectory import TrajectoryConfig, time_path
+from infomap_ros.motion.arm.arm_path import FreeWay, TrajectoryConfig, time_path
 
 from .bodies import rover
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from infomap_ros.motion.traversability import traversability
 
-from .grounds import CELL, ground, rover
+from .grounds import CELL, ground, rover, stance_of
 
 
 def made_up(x: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -34,7 +34,7 @@ def test_free_where_it_stands_in_all_headings_and_occupied_where_in_none() -> No
     for row, column in np.random.default_rng(1).integers(0, len(grid.cells), (40, 2)):
         place = (np.array([column, row]) + 0.5) * CELL + grid.origin
         yaws = np.arange(8) * np.pi / 4.0
-        reasons = [vehicle.stance(terrain, *place, yaw).reason for yaw in yaws]
+        reasons = [stance_of(vehicle, terrain, *place, yaw).reason for yaw in yaws]
         known = [why for why in reasons if "unknown" not in why and "outside" not in why]
         share = sum(map(bool, known)) / max(len(known), 1)
         assert grid.cells[row, column] == (round(100 * share) if known else -1)

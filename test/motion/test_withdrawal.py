@@ -7,7 +7,7 @@ import numpy as np
 from infomap_ros.motion.base.base_planner import BasePlanner
 from infomap_ros.motion.base.vehicle import Vehicle
 
-from .grounds import FOLDED, ground, rover_model
+from .grounds import FOLDED, ground, rover_model, stance_of
 
 YAW = 0.25  # between the headings of the planner's graph, 0 and 0.46
 
@@ -27,9 +27,9 @@ def test_robot_in_a_lane_backs_out_before_it_turns() -> None:
     vehicle = Vehicle.from_robot(rover_model(), joint_positions=FOLDED)
     terrain = ground(lane(0.28))
     start = np.array([0.0, 0.0, YAW])
-    assert vehicle.stance(terrain, *start).ok
+    assert stance_of(vehicle, terrain, *start).ok
     for turn in (-YAW, 0.4636 - YAW):  # to the nearest headings of the graph
-        assert not vehicle.stance(terrain, 0.0, 0.0, YAW + turn).ok
+        assert not stance_of(vehicle, terrain, 0.0, 0.0, YAW + turn).ok
     planner = BasePlanner(terrain, vehicle)
     assert planner.reachable_area(start).any()
     path = planner.plan(start, (-1.3, 0.8, np.nan), samples=0)

@@ -23,7 +23,7 @@ from infomap_ros.nodes.driving.action_types import (
     NAVIGATE_THROUGH_POSES,
     action_class,
 )
-from infomap_ros.nodes.simulated.goal_server import GoalServer
+from infomap_ros.nodes.simulated.simulator_actions import GoalServer
 from infomap_ros.simulation.body.controller_rules import why_refused
 
 PERIOD = 0.02  # [s]

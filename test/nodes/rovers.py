@@ -31,10 +31,11 @@ from infomap_ros.messages import (
     encode_text,
 )
 from infomap_ros.messages.rows import encode_rows
-from infomap_ros.motion import RobotModel
+from infomap_ros.motion.robot.robot_model import RobotModel
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.message_types import RclpyMessageTypes
-from infomap_ros.team import OCCUPANCY_ROW, MapUpdate, encode_update
+from infomap_ros.team.update import MapUpdate
+from infomap_ros.team.wire import OCCUPANCY_ROW, encode_update
 
 FRAMES = {side: f"{side}_camera_optical_frame" for side in ("left", "right")}
 CAMERA = PinholeCamera(64, 48, 45.0, 45.0, 31.5, 23.5)

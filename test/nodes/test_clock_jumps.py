@@ -9,10 +9,9 @@ from hypothesis import strategies as st
 
 from infomap_ros.errors import PoseUnavailableError
 from infomap_ros.geometry import CameraCalibration, CameraInfoRecord, ImageRecord, PoseRecord
-from infomap_ros.geometry.pairing import StampPairing
 from infomap_ros.geometry.pose_buffer import PoseBuffer
 from infomap_ros.pipeline.clock_jumps import LONE_STAMP, ClockGate, JumpingBuffer
-from infomap_ros.pipeline.image_synchronizer import ImageSynchronizer
+from infomap_ros.pipeline.image_synchronizer import ImageSynchronizer, StampPairing
 
 JUMP = 100
 PIXELS = np.zeros((1, 1), np.uint8)

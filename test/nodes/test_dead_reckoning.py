@@ -33,7 +33,7 @@ from infomap_ros.messages import (
     encode_pose,
     encode_text,
 )
-from infomap_ros.motion import RobotModel
+from infomap_ros.motion.robot.robot_model import RobotModel
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.message_types import RclpyMessageTypes, message_class
 from infomap_ros.nodes.dead_reckoning import DeadReckoningNode

@@ -17,7 +17,8 @@ from sensor_msgs.msg import PointCloud2
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.message_types import RclpyMessageTypes
 from infomap_ros.messages.rows import decode_rows, encode_rows
-from infomap_ros.team import MapUpdate, decode_update, encode_update
+from infomap_ros.team.update import MapUpdate
+from infomap_ros.team.wire import decode_update, encode_update
 
 robot = int(sys.argv[1])
 rclpy.init()

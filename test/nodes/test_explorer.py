@@ -14,9 +14,8 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_srvs.srv import Trigger
 
 from infomap_ros.errors import MalformedMessageError
-from infomap_ros.exploration.progress import MapProgress
 from infomap_ros.exploration.records.choice_text import choice_to_text, route_digest
-from infomap_ros.exploration.robot import Choice
+from infomap_ros.exploration.robot import Choice, MapProgress
 from infomap_ros.geometry import make_transform
 from infomap_ros.localization.localized_camera import LocalizedCamera
 from infomap_ros.messages.commands import decode_arm_trajectory
@@ -321,6 +320,19 @@ def test_a_mission_waits_for_what_it_needs(graph: Any, tmp_path: Path) -> None:
     assert stage.state() == "starting"
     stage.rover.tells_updates = True
     stage.spin_to("ended: done")
+
+
+def test_an_explorer_that_waits_for_a_robot_has_ended_when_it_is_gone(
+    graph: Any, tmp_path: Path
+) -> None:
+    log = tmp_path / "run.jsonl"
+    node = graph.add(
+        ExplorerNode, autostart=True, mission_file=str(tmp_path / "m.json"), log_file=str(log)
+    )
+    said = graph.collect(DiagnosticStatus, "exploration_status", LATCHED)
+    graph.spin_until(lambda: bool(said), "the exploration")
+    node.destroy_node()
+    assert [json.loads(line)["reason"] for line in log.read_text().splitlines()] == ["stopped"]
 
 
 def said_last(stage: Stage) -> str:

@@ -154,4 +154,4 @@ def test_the_command_names_what_is_wrong_and_fails(
     assert status == 1
     remedy = "start fiducial_localization, or dead_reckoning on a robot with odometry alone"
     assert f"WRONG {graph.namespace}/camera_pose: nobody publishes it: {remedy}" in lines
-    assert lines[-1].endswith("things looked at are wrong")
+    assert lines[-1].endswith("checks failed")

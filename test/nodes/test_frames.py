@@ -15,13 +15,13 @@ from infomap_ros.messages import TF, decode_transforms, encode_transforms
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.common.message_types import RclpyMessageTypes, message_class
-from infomap_ros.nodes.locating.camera_root import CameraRoot
+from infomap_ros.nodes.locating.localization_news import CameraRoot
 from infomap_ros.nodes.locating.odom_frame import (
     MapFrameConfig,
     OdomFrameBroadcaster,
     frame_publisher,
 )
-from infomap_ros.nodes.simulated.simulator_frames import SimulatorFrames
+from infomap_ros.nodes.simulated.simulator_outputs import SimulatorFrames
 from infomap_ros.nodes.team.team_topics import OWN_FRAMES
 
 DESCRIPTION = find_share("config/rover.urdf").read_text("utf-8")
@@ -103,6 +103,25 @@ def test_the_map_is_told_where_odometry_is_until_there_is_news(graph: Any) -> No
     news = graph.tester.get_clock().now().nanoseconds
     broadcaster.update(map_to_odom(news))
     assert sent[-1].stamp == news + 500_000_000
+
+
+def test_stamps_do_not_step_back_where_a_pose_took_longer(graph: Any) -> None:
+    broadcaster, sent = broadcast(graph)
+    for age in (0.1, 0.3, 0.05, 0.2):  # [s] of an image when its pose is known
+        stamp = graph.tester.get_clock().now().nanoseconds - round(1e9 * age)
+        edge = map_to_odom(stamp)
+        edge.transform[0, 3] = age
+        broadcaster.update(edge)
+        graph.spin_until(lambda age=age: sent[-1].transform[0, 3] == age, "the news")
+    stamps = [edge.stamp for edge in sent]
+    assert sorted(set(stamps)) == stamps
+
+
+def test_a_clock_that_was_set_back_begins_anew(graph: Any) -> None:
+    broadcaster, sent = broadcast(graph, use_sim_time=True)
+    for second in (30, 7):
+        broadcaster.update(map_to_odom(second * 10**9))
+    assert [edge.stamp for edge in sent] == [30_500_000_000, 7_500_000_000]
 
 
 def test_while_the_clock_stands_nothing_is_repeated(graph: Any) -> None:

@@ -11,7 +11,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 from infomap_ros.errors import FrameError, MalformedMessageError
 from infomap_ros.geometry import Box, Sphere
 from infomap_ros.geometry.solids import points_inside
-from infomap_ros.nodes.planning.interests import Interests
+from infomap_ros.nodes.next_best_view import Interests
 
 
 def marker(number: int = 1, kind: int = Marker.CUBE, text: str = "3.0") -> Marker:

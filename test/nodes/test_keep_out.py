@@ -216,7 +216,7 @@ def test_a_region_across_the_way_stops_the_robot_with_the_reason(
         log_file=str(tmp_path / "run.jsonl"),
     )
     graph.spin_until(lambda: stage.rover.paths, "a way of the base", timeout=90.0)
-    sent = stage.node._planner.planner._motion._sent
+    sent = stage.node._planner.planner.motion._sent
     assert sent is not None and sent.moves_base
 
     regions.publish(MarkerArray(markers=[box(1, sent.base_path[-1, :2], 0.3)]))

@@ -42,7 +42,7 @@ def launch_file(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
 
 @pytest.fixture
 def exploration(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
-    return load("exploration", monkeypatch)
+    return load("robot", monkeypatch)
 
 
 def load(name: str, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
@@ -153,7 +153,7 @@ def test_exploring_sets_parameters_that_exist(
 
 
 def test_exploring_in_simulation_takes_its_clock_and_loses_nothing(exploration: ModuleType) -> None:
-    nodes = nodes_of(exploration, world="cave", seed="4", namespace="robot1")
+    nodes = nodes_of(exploration, simulator="true", world="cave", seed="4", namespace="robot1")
 
     assert set(nodes) == {*EXPLORING, "simulator", "rviz2"}
     world = settings_of(nodes["simulator"])
@@ -162,11 +162,12 @@ def test_exploring_in_simulation_takes_its_clock_and_loses_nothing(exploration: 
     for name in EXPLORING:
         assert settings_of(nodes[name])["use_sim_time"] is True
     explorer = settings_of(nodes["explorer"])
+    assert explorer["autostart"] is True
     assert explorer["qos_overrides./robot1/camera_pose.subscription.reliability"] == "reliable"
 
 
 def test_a_driver_moves_the_simulated_rover_by_actions(exploration: ModuleType) -> None:
-    nodes = nodes_of(exploration, driver="true")
+    nodes = nodes_of(exploration, simulator="true", driver="true")
 
     check_settings(nodes)
     assert set(nodes) == {*EXPLORING, "robot_driver", "simulator", "rviz2"}
@@ -177,7 +178,7 @@ def test_a_driver_moves_the_simulated_rover_by_actions(exploration: ModuleType) 
 
 
 def test_a_driver_of_a_robot_takes_its_controllers_from_the_file(exploration: ModuleType) -> None:
-    nodes = nodes_of(exploration, simulator="false", driver="true", robot="tiago")
+    nodes = nodes_of(exploration, robot="tiago")
 
     assert set(nodes) == {*EXPLORING, "robot_driver", "rviz2"}
     assert "controllers" not in settings_of(nodes["robot_driver"])
@@ -186,7 +187,8 @@ def test_a_driver_of_a_robot_takes_its_controllers_from_the_file(exploration: Mo
 
 
 def test_a_simulated_robot_has_the_simulator_s_controllers(exploration: ModuleType) -> None:
-    nodes = nodes_of(exploration, driver="true", robot="tiago", parameters="mine.yaml")
+    given = {"robot": "tiago", "parameters": "mine.yaml"}
+    nodes = nodes_of(exploration, simulator="true", driver="true", **given)
     file, simulator, driver = find_share("config/robots/tiago.yaml"), "simulator", "robot_driver"
 
     (controller,) = settings_of(nodes[driver])["controllers"]
@@ -204,7 +206,7 @@ def settings_part(node: Recorder) -> dict[str, Any]:
 
 
 def test_a_robot_s_frames_get_its_prefix(exploration: ModuleType) -> None:
-    nodes = nodes_of(exploration, simulator="false", robot="tiago", frame_prefix="mine/")
+    nodes = nodes_of(exploration, robot="tiago", frame_prefix="mine/")
 
     assert settings_of(nodes["next_best_view"])["base_frame"] == "mine/base_footprint"
 
@@ -232,9 +234,9 @@ def _plain(value: Any) -> Any:
 
 
 def test_exploring_with_a_robot_leaves_its_quality_of_service(exploration: ModuleType) -> None:
-    nodes = nodes_of(exploration, simulator="false", autostart="false")
+    nodes = nodes_of(exploration)
 
-    assert set(nodes) == {*EXPLORING, "rviz2"}
+    assert set(nodes) == {*EXPLORING, "robot_driver", "rviz2"}
     for name in EXPLORING:
         settings = settings_of(nodes[name])
         assert settings["use_sim_time"] is False
@@ -250,7 +252,7 @@ def test_parameters_of_ones_own_count_most(exploration: ModuleType) -> None:
 
 
 def test_odometry_takes_the_place_of_the_pose(exploration: ModuleType) -> None:
-    nodes = nodes_of(exploration, localization="odometry")
+    nodes = nodes_of(exploration, simulator="true", localization="odometry")
 
     assert settings_of(nodes["simulator"])["publish_camera_pose"] is False
     assert "dead_reckoning" in nodes
@@ -258,7 +260,7 @@ def test_odometry_takes_the_place_of_the_pose(exploration: ModuleType) -> None:
 
 
 def test_a_pose_from_elsewhere_needs_no_localization(exploration: ModuleType) -> None:
-    nodes = nodes_of(exploration, localization="pose")
+    nodes = nodes_of(exploration, simulator="true", localization="pose")
 
     assert settings_of(nodes["simulator"])["publish_camera_pose"] is True
     assert not {"dead_reckoning", "fiducial_localization"} & set(nodes)
@@ -304,7 +306,7 @@ def test_the_player_waits_for_all_nodes(
     assert settings_of(nodes["bag_player"])["wait_for_subscribers"] == [*images, "camera_pose"]
 
 
-@pytest.mark.parametrize("name", ["mapping", "exploration"])
+@pytest.mark.parametrize("name", ["mapping", "robot"])
 def test_a_member_of_a_team_shares_the_topics_of_the_team(
     name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -327,7 +329,7 @@ def test_a_robot_alone_keeps_its_topics_and_has_frames_of_its_own(exploration: M
         assert "robot_id" not in settings_of(node)
 
 
-@pytest.mark.parametrize("name", ["mapping", "exploration"])
+@pytest.mark.parametrize("name", ["mapping", "robot"])
 def test_nodes_have_time_to_save_before_they_are_killed(
     name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -346,7 +348,7 @@ def own(nodes: dict[str, Recorder]) -> list[Recorder]:
 
 def test_time_is_that_of_the_clock_where_it_is_wanted(exploration: ModuleType) -> None:
     for given, expected in (({"use_sim_time": "true"}, True), ({}, False)):
-        for node in own(nodes_of(exploration, simulator="false", **given)):
+        for node in own(nodes_of(exploration, **given)):
             assert settings_of(node)["use_sim_time"] is expected
 
 
@@ -366,6 +368,25 @@ def test_the_player_is_paced_by_an_image_of_the_bag(
     assert settings_of(nodes["bag_player"])["paced_topic"] == topic
 
 
+def test_a_depth_camera_on_the_arm_explores(exploration: ModuleType) -> None:
+    nodes = nodes_of(exploration, camera="realsense_depth")
+
+    check_settings(nodes)
+    for name in ("stereo_range", "fiducial_localization", "next_best_view"):
+        assert settings_of(nodes[name])["source"] == "depth"
+    info = "camera/camera/aligned_depth_to_color/camera_info"
+    for name in ("explorer", "robot_driver"):
+        assert dict(nodes[name].remappings)["left/camera_info"] == info
+
+
+def test_points_from_elsewhere_need_no_camera(launch_file: ModuleType) -> None:
+    nodes = nodes_of(launch_file, source="points", localization="pose")
+
+    assert set(nodes) == {"map_fusion", "rviz2"}
+    with pytest.raises(ConfigError, match=r"localization.*odometry or pose where source is points"):
+        nodes_of(launch_file, source="points")
+
+
 def test_a_camera_by_name_brings_its_topics(launch_file: ModuleType) -> None:
     nodes = nodes_of(launch_file, camera="realsense_depth")
 
@@ -380,7 +401,7 @@ def test_a_camera_by_name_brings_its_topics(launch_file: ModuleType) -> None:
 
 
 def test_frames_with_a_prefix_share_one_tf(exploration: ModuleType) -> None:
-    nodes = nodes_of(exploration, frame_prefix="robot1/", simulator="false")
+    nodes = nodes_of(exploration, frame_prefix="robot1/")
 
     check_settings(nodes)
     for node in own(nodes):

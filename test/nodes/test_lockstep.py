@@ -30,13 +30,13 @@ from infomap_ros.nodes.map_fusion import MapFusionNode
 from infomap_ros.nodes.next_best_view import NextBestViewNode
 from infomap_ros.nodes.simulator import SimulatorNode
 from infomap_ros.nodes.stereo_range import StereoRangeNode
-from infomap_ros.pipeline.map_hash import map_hash
 from infomap_ros.simulation.cameras.stereo_camera import DRAWN_FAST
 from infomap_ros.simulation.exploring.exploration_run import (
     ExplorationOptions,
     ExplorationRun,
     task_in,
 )
+from test.pipeline.map_hash import map_hash
 
 NODES = {
     "fiducial_localization": FiducialLocalizationNode,

@@ -28,6 +28,7 @@ from infomap_ros.geometry import (
 from infomap_ros.geometry.organized import fit_pinhole_camera
 from infomap_ros.mapping import (
     LOG_ODDS_QUANTUM,
+    NOT_OBSERVED,
     SHARED_LOG_ODDS_LIMIT,
     VoxelChanges,
     VoxelMap,
@@ -38,16 +39,12 @@ from infomap_ros.messages.rows import decode_rows, encode_rows
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.message_types import RclpyMessageTypes
 from infomap_ros.nodes.map_fusion import MapFusionNode
-from infomap_ros.team import (
-    NOT_OBSERVED,
-    MapUpdate,
-    TeamConfig,
-    TeamMember,
-    decode_update,
-    encode_update,
-    version_at,
-)
 from infomap_ros.team.authentication import TeamKey
+from infomap_ros.team.config import TeamConfig
+from infomap_ros.team.member import TeamMember
+from infomap_ros.team.update import MapUpdate
+from infomap_ros.team.versions import version_at
+from infomap_ros.team.wire import decode_update, encode_update
 
 TYPES = RclpyMessageTypes()
 SECOND = 1_000_000_000

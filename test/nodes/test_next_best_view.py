@@ -13,7 +13,7 @@ from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import OccupancyGrid, Path
 from nav_msgs.srv import GetMap
 from rclpy.parameter import Parameter
-from sensor_msgs.msg import PointCloud2
+from sensor_msgs.msg import CameraInfo, PointCloud2
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import Marker, MarkerArray
@@ -22,17 +22,18 @@ from infomap_ros.exploration.records.choice_text import choice_from_text, route_
 from infomap_ros.exploration.robot import Choice
 from infomap_ros.exploration.task import TaskConfig
 from infomap_ros.exploration.view_planner import ViewPlannerConfig
-from infomap_ros.geometry import StereoRig
+from infomap_ros.geometry import CameraInfoRecord, StereoRig
 from infomap_ros.localization.filter.records import Fiducials
 from infomap_ros.localization.prediction.error_prediction import ErrorPrediction
 from infomap_ros.localization.prediction.ways import Ways
+from infomap_ros.messages import encode_camera_info
 from infomap_ros.messages.fiducials import encode_fiducials
 from infomap_ros.nodes.common import qos
-from infomap_ros.nodes.next_best_view import NextBestViewNode
-from infomap_ros.views import expected_information
+from infomap_ros.nodes.next_best_view import NextBestViewNode, PlannedCameraConfig
+from infomap_ros.views.information.expected_information import expected_information
 from infomap_ros.views.information.information_config import InformationConfig
 
-from .rovers import BASELINE, CAMERA, TYPES, PaperRover, update_messages
+from .rovers import BASELINE, CAMERA, FRAMES, TYPES, PaperRover, calibration, update_messages
 
 QUICK = {
     "choice__candidates__candidates": 200,
@@ -67,7 +68,8 @@ class Stage:
         publishers = (
             self.rover.updates, self.team, self.interest, self.status, self.fiducials
         )  # fmt: skip
-        graph.connect(*publishers, *self.rover.infos.values())
+        infos = () if parameters.get("source") == "depth" else self.rover.infos.values()
+        graph.connect(*publishers, *infos)
 
     def call(self, name: str = "plan") -> Trigger.Response:
         client = self.graph.tester.create_client(Trigger, f"next_best_view/{name}")
@@ -185,6 +187,30 @@ def test_where_the_robot_can_stand_is_published_and_given_by_service(stage: Stag
     column, row = ((base - (corner.x, corner.y)) / given.info.resolution).astype(int)
     assert cells[row, column] == 0  # where it stands
     assert (cells == -1).any()
+
+
+def test_a_depth_camera_is_planned_for_by_its_own_info(graph: Any) -> None:
+    stage = Stage(graph, source="depth", depth_noise=0.002)
+    info = graph.publisher(CameraInfo, "depth/camera_info")
+    graph.connect(info)
+    stage.tell(stage.rover.updates, -0.8, 0.0, 0.8)
+    assert not stage.call().success
+    info.publish(
+        encode_camera_info(TYPES, CameraInfoRecord(0, FRAMES["left"], calibration("left")))
+    )
+    assert stage.plan().pose is not None
+    stage.rover.is_located = False  # tells its odometry
+
+    def searched() -> bool:
+        return bool(stage.call("plan_search").success)
+
+    graph.spin_until(searched, "a look for the target")
+
+
+def test_a_depth_camera_is_as_noisy_as_is_said() -> None:
+    rig = PlannedCameraConfig("depth", depth_noise=0.002).rig((calibration("left"),))
+    assert rig.left == CAMERA
+    assert InformationConfig.of_stereo(rig).range_noise == pytest.approx(0.002)
 
 
 def test_what_is_missing_is_said(graph: Any) -> None:
@@ -314,7 +340,7 @@ def test_a_restarted_planner_keeps_to_the_clear_space_of_the_start(graph: Any) -
     stage.tell(stage.rover.updates, 0.0)
     stage.plan()
     assert stage.node._planner is not None
-    np.testing.assert_array_equal(stage.node._planner.planner._motion._start.T_map_base, began)
+    np.testing.assert_array_equal(stage.node._planner.planner.motion._start.T_map_base, began)
 
 
 def rating_model(stage: Stage) -> str:

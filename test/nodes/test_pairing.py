@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from infomap_ros.geometry import Record
-from infomap_ros.geometry.pairing import StampPairing
+from infomap_ros.pipeline.image_synchronizer import StampPairing
 
 
 def feed(pairing: StampPairing, events: list[tuple[str, int]]) -> list[tuple[int, int]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -19,7 +20,18 @@ def test_parameter_files_and_tables_are_up_to_date() -> None:
 def test_there_are_few_parameters() -> None:
     distinct = set().union(*(node_parameters(configs) for configs in NODES.values()))
 
-    assert len(distinct) <= 150, len(distinct)
+    assert len(distinct) <= 157, len(distinct)
+
+
+def test_what_tuning_names_are_parameters_of_the_node_that_it_names() -> None:
+    named = 0
+    for line in (find_share("config").parent / "docs" / "howto_tune.md").read_text().splitlines():
+        *names, node = re.findall(r"`([a-z_.]+)`", line) or [""]
+        if line.startswith("- ") and node in NODES:
+            wanted = {name for name in names if f"`{name}`" in line.split(":", 1)[1]}
+            assert wanted <= set(node_parameters(NODES[node])), line
+            named += len(wanted)
+    assert named >= 10
 
 
 @pytest.mark.parametrize("node", NODES)

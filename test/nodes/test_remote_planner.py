@@ -14,9 +14,8 @@ from std_msgs.msg import Empty
 from std_srvs.srv import Trigger
 
 from infomap_ros.errors import ExplorationError
-from infomap_ros.exploration.progress import MapProgress
 from infomap_ros.exploration.records.choice_text import choice_to_text
-from infomap_ros.exploration.robot import Choice
+from infomap_ros.exploration.robot import Choice, MapProgress
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.planning.remote_planner import RemotePlanner, RemotePlannerConfig
 

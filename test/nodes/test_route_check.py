@@ -62,7 +62,7 @@ def test_a_box_on_the_way_stops_the_robot_with_the_reason(graph: Any, tmp_path: 
     )
     graph.spin_until(lambda: stage.rover.paths, "a way of the base", timeout=90.0)
     assert {state.level for state in states} == {DiagnosticStatus.OK}
-    sent = stage.node._planner.planner._motion._sent
+    sent = stage.node._planner.planner.motion._sent
     assert sent is not None and sent.moves_base
     end = sent.base_poses[-1][:3, 3]
     place = end * (1.0 + 0.3 / np.linalg.norm(end))  # under the front of the rover, at the end

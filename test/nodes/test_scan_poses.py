@@ -21,7 +21,7 @@ from infomap_ros.geometry import (
     transform_points,
 )
 from infomap_ros.messages import encode_point_cloud, encode_pose, encode_transforms
-from infomap_ros.nodes.fusion.scan_poses import carried_pose
+from infomap_ros.nodes.fusion.scan_inputs import carried_pose
 from infomap_ros.nodes.map_fusion import MapFusionNode
 
 from .test_frames_in import Frames

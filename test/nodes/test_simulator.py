@@ -27,7 +27,7 @@ from infomap_ros.messages import (
     decode_pose_with_covariance,
 )
 from infomap_ros.messages.motions import encode_arm_trajectory, encode_base_path
-from infomap_ros.motion import RobotModel
+from infomap_ros.motion.robot.robot_model import RobotModel
 from infomap_ros.motion.route import ArmPath
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.message_types import RclpyMessageTypes

@@ -15,9 +15,10 @@ from visualization_msgs.msg import MarkerArray
 from infomap_ros.geometry import PinholeCamera, TextRecord, make_transform
 from infomap_ros.messages import encode_text
 from infomap_ros.messages.agents import decode_agent_texts, encode_agent
+from infomap_ros.motion.robot.urdf import hash_of_description
 from infomap_ros.nodes.common import qos
 from infomap_ros.team.agent_text import agent_from_text, agent_to_text
-from infomap_ros.team.agents import Agent, hash_of_description
+from infomap_ros.team.agents import Agent
 from infomap_ros.team.authentication import NOT_AUTHENTIC, TeamKey
 from infomap_ros.team.membership import NOT_LISTED
 

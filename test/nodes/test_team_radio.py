@@ -16,8 +16,9 @@ from infomap_ros.messages.rows import decode_rows, encode_rows
 from infomap_ros.nodes.common.message_types import RclpyMessageTypes
 from infomap_ros.nodes.map_fusion import MapFusionNode
 from infomap_ros.nodes.team.team_radio import TeamRadioConfig, loses
-from infomap_ros.team import MapReplica, decode_update
 from infomap_ros.team.digest import CellDigest
+from infomap_ros.team.replica import MapReplica
+from infomap_ros.team.wire import decode_update
 
 from .rovers import update_messages
 

@@ -29,7 +29,8 @@ from sensor_msgs.msg import PointCloud2
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.nodes.common.message_types import RclpyMessageTypes
 from infomap_ros.messages.rows import decode_rows, encode_rows
-from infomap_ros.team import TeamConfig, TeamMember
+from infomap_ros.team.config import TeamConfig
+from infomap_ros.team.member import TeamMember
 
 robot, types = int(sys.argv[1]), RclpyMessageTypes()
 config = VoxelMapConfig(voxel_size=0.1)

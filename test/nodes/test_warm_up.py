@@ -28,7 +28,9 @@ from infomap_ros.nodes.common.message_types import RclpyMessageTypes
 from infomap_ros.pipeline.map_builder import MapBuilder
 from infomap_ros.pipeline.scan_synchronizer import Scan
 from infomap_ros.messages import decode_point_cloud, encode_point_cloud
-from infomap_ros.team import MapReplica, MapUpdate, decode_update, encode_update
+from infomap_ros.team.replica import MapReplica
+from infomap_ros.team.update import MapUpdate
+from infomap_ros.team.wire import decode_update, encode_update
 
 warm_up(1)
 before = kernels()

@@ -14,7 +14,7 @@ from std_srvs.srv import Trigger
 from visualization_msgs.msg import Marker, MarkerArray
 
 from infomap_ros.nodes.common import qos
-from infomap_ros.nodes.planning.interests import Interests
+from infomap_ros.nodes.next_best_view import Interests
 from infomap_ros.nodes.web_viewer import WebViewerNode
 
 from .rovers import PaperRover, update_messages

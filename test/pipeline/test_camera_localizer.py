@@ -9,7 +9,7 @@ import pytest
 
 from infomap_ros.errors import SensorFaultError
 from infomap_ros.geometry import PinholeCamera, make_transform
-from infomap_ros.localization import KinematicMotion, MotionPrior, RobotPosture
+from infomap_ros.localization.filter.motion_prior import KinematicMotion, MotionPrior, RobotPosture
 from infomap_ros.localization.localized_camera import LocalizedCamera, State
 from infomap_ros.localization.localizer_config import LocalizerConfig
 from infomap_ros.pipeline.camera_localizer import (

@@ -17,9 +17,8 @@ from infomap_ros.geometry.assumed_pose import AssumedPoseConfig
 from infomap_ros.geometry.joint_buffer import JointBuffer, JointBufferConfig
 from infomap_ros.geometry.resources import find_share
 from infomap_ros.localization.filter.motion_prior import RobotPosture
-from infomap_ros.motion import RobotModel
-from infomap_ros.pipeline.carried_pose import CarriedPose
-from infomap_ros.pipeline.last_pose import LastPose
+from infomap_ros.motion.robot.robot_model import RobotModel
+from infomap_ros.pipeline.tracked_robot import CarriedPose, LastPose
 
 CAMERA = "left_camera_optical_frame"
 SECOND = 1_000_000_000

@@ -22,8 +22,9 @@ from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.mapping.correction.scan_store import ScanStoreConfig
 from infomap_ros.messages.keyframes import KeyframePoses
 from infomap_ros.pipeline.map_builder import MapBuilder
-from infomap_ros.pipeline.map_hash import map_hash
 from infomap_ros.pipeline.scan_synchronizer import Scan
+
+from .map_hash import map_hash
 
 CAMERA = PinholeCamera(64, 48, 60.0, 60.0, 31.5, 23.5)
 COVARIANCE = 1e-6 * np.eye(6)

@@ -21,9 +21,7 @@ from infomap_ros.nodes.bag_player import BagPlayerNode
 from infomap_ros.nodes.fiducial_localization import FiducialLocalizationNode
 from infomap_ros.nodes.map_fusion import MapFusionNode
 from infomap_ros.nodes.stereo_range import StereoRangeNode
-from infomap_ros.pipeline.camera_poses import CameraPoses
 from infomap_ros.pipeline.map_builder import MapBuilder
-from infomap_ros.pipeline.map_hash import map_hash
 from infomap_ros.pipeline.perception import ImageSources, Perception
 from infomap_ros.pipeline.pipeline import Fused, Fusion, Pipeline
 from infomap_ros.pipeline.range_estimator import StereoRangeEstimator
@@ -34,7 +32,10 @@ from infomap_ros.replay.bags.reader import BagReader
 from infomap_ros.replay.bags.writer import BagWriter
 from infomap_ros.replay.localizing.localize_inputs import LocalizeOptions, find_localize_inputs
 from infomap_ros.replay.localizing.localize_run import make_localization, records_of
+from infomap_ros.replay.mapping.map_inputs import CameraPoses
 from infomap_ros.stereo import StereoConfig
+
+from .map_hash import map_hash
 
 PAIRS = 6
 VOXEL = 0.1

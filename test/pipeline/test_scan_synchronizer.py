@@ -7,7 +7,7 @@ import pytest
 
 from infomap_ros.errors import FrameError
 from infomap_ros.geometry import JointStateRecord, PoseRecord, PoseUncertainty
-from infomap_ros.motion import RobotModel
+from infomap_ros.motion.robot.robot_model import RobotModel
 from infomap_ros.pipeline.robot_body import RobotBody
 from infomap_ros.pipeline.scan_synchronizer import LocatedPoses, ScanSynchronizer
 

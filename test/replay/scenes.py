@@ -74,16 +74,19 @@ def depth_frames(count: int = 6, covariance: np.ndarray | None = COVARIANCE):
         yield "/depth/image_rect", ImageRecord(stamp, "optical", depth, "16UC1")
 
 
-def stereo_frames(count: int = 3):
-    """A textured wall before a rectified pair; the right image is the left one shifted."""
+def stereo_frames(count: int = 3, scale: float = 1.0):
+    """A textured wall before a rectified pair; the right image is the left one shifted.
+
+    The baseline and the wall's distance are `scale` times the usual ones.
+    """
     camera = PinholeCamera(320, 240, 240.0, 240.0, 159.5, 119.5)
-    rig = StereoRig(camera, camera, 0.1)
+    rig = StereoRig(camera, camera, 0.1 * scale)
     noise = np.random.default_rng(3).integers(0, 255, (240, 420), dtype=np.uint8)
     texture = cv2.GaussianBlur(noise, (0, 0), 1.2)
     texture = cv2.normalize(texture, None, 0, 255, cv2.NORM_MINMAX)
     for index in range(count):
         stamp = START + index * STEP
-        shift = float(rig.disparity_from_depth(WALL))  # a whole number: 12 px
+        shift = float(rig.disparity_from_depth(WALL * scale))  # a whole number: 12 px
         left = texture[:, 40 : 40 + 320]
         right = texture[:, 40 + round(shift) : 40 + round(shift) + 320]
         yield "/camera_pose", PoseRecord(stamp, "map", pose_at(0.0), COVARIANCE)

@@ -74,6 +74,14 @@ def test_file_without_its_folder(tmp_path, storage):
     check_is_the_sample(tmp_path / "bag" / f"bag{suffix}")
 
 
+@pytest.mark.parametrize("storage", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
+def test_packed_messages_without_the_metadata_that_tells(tmp_path, storage):
+    bag = write_rosbag2(tmp_path / "bag", storage, CompressionMode.MESSAGE, RECORDS)
+    (bag / "metadata.yaml").unlink()
+    (only,) = bag.iterdir()
+    check_is_the_sample(only)
+
+
 def test_ros1_messages_come_out_as_cdr(tmp_path):
     path = write_rosbag1(tmp_path / "old.bag", RECORDS)
     store = get_typestore(Stores.ROS2_JAZZY)

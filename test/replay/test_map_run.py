@@ -22,8 +22,9 @@ from infomap_ros.geometry import (
     transform_points,
 )
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
-from infomap_ros.motion.robot.description_config import DescriptionConfig
+from infomap_ros.motion.robot.robot_model import DescriptionConfig
 from infomap_ros.replay.bags.reader import BagReader
+from infomap_ros.replay.mapping import map_inputs
 from infomap_ros.replay.mapping.map_inputs import MapInputConfig, MapOptions
 from infomap_ros.replay.mapping.map_run import MapRun
 from infomap_ros.replay.sequences import LAYOUTS, SequenceReader
@@ -82,6 +83,43 @@ def test_stereo_pair(tmp_path):
     run = mapped(write(tmp_path / "bag", stereo_frames()))
     check_wall(run.map, tolerance=0.03)
     assert run.frames == 3
+
+
+def test_a_large_scene_is_mapped_as_far_as_it_is_known(tmp_path):
+    path = write(tmp_path / "bag", stereo_frames(scale=20.0))
+    run = mapped(path)
+    size, reach = run.map.config.voxel_size, run.map.config.max_range
+    assert run.fitted and 20.0 * WALL < reach < 60.0 * WALL and 0.1 <= size <= reach / 100.0
+    _, means, _ = run.map.gaussians()
+    assert np.median(means[:, 0]) == pytest.approx(20.0 * WALL, rel=0.02)
+    kept = mapped(path, map=VoxelMapConfig(voxel_size=0.2))
+    assert not kept.fitted and kept.map.config.max_range == 5.0 and kept.points == 0
+    usual = mapped(path, input=MapInputConfig(fit_scene=False))
+    assert not usual.fitted and usual.map.config.voxel_size == 0.05
+    assert not mapped(write(tmp_path / "near", stereo_frames())).fitted
+
+
+def test_a_large_scene_that_is_nowhere_known_well_keeps_the_usual_sizes(tmp_path, monkeypatch):
+    monkeypatch.setattr(map_inputs, "_KNOWN", 0.001)
+    run = mapped(write(tmp_path / "bag", stereo_frames(scale=20.0)))
+    assert not run.fitted and run.map.config.max_range == 5.0
+
+
+@pytest.mark.parametrize("fit_scene", [True, False])
+def test_judging_the_scene_counts_nothing_that_cannot_be_read(tmp_path, fit_scene):
+    options = MapOptions(input=MapInputConfig(fit_scene=fit_scene))
+    with BagReader(write(tmp_path / "bag", stereo_frames(scale=20.0))) as bag:
+        records = bag.records
+
+        def with_one_bad(topics):
+            bag.skipped["malformed"] += "/right/image_rect" in topics
+            return records(topics)
+
+        bag.records = with_one_bad
+        run = MapRun(bag, options)
+        assert run.fitted == fit_scene
+        run.run()
+        assert bag.skipped == {"malformed": 1}
 
 
 def test_same_bag_gives_the_same_map(tmp_path):

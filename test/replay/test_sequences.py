@@ -256,7 +256,8 @@ def test_incomplete_sequence_names_what_is_missing(tmp_path):
 
 def test_a_failed_conversion_leaves_nothing(tmp_path):
     folder = write_rgbd(tmp_path / "data")
-    (folder / "frames" / "frame-000002.depth.png").write_bytes(b"no image")
+    for depth in folder.glob("frames/*.depth.png"):
+        depth.write_bytes(b"no image" if depth.name.startswith("frame-000000") else b"")
     with pytest.raises(BagError, match="not an image"):
         convert("rgbd", folder, tmp_path / "bag")
     assert not (tmp_path / "bag").exists()
@@ -292,6 +293,53 @@ def test_images_of_another_size_than_the_calibration_are_named(tmp_path):
     reader = open_recording(tmp_path)
     with pytest.raises(BagError, match="32x24 px, its calibration 64x48"):
         list(reader.records())
+
+
+@pytest.mark.parametrize("damage", ["empty", "odd size", "cut off"])
+@pytest.mark.parametrize("place", [0, 1])
+def test_a_broken_image_among_good_ones_is_left_out(tmp_path, damage, place):
+    for side in ("left", "right"):
+        write_images(tmp_path / side, ["0.png", "1.png", "2.png"])
+    broken = tmp_path / "left" / f"{place}.png"
+    if damage == "odd size":
+        cv2.imwrite(str(broken), np.zeros((12, 16), np.uint8))
+    else:
+        broken.write_bytes(broken.read_bytes()[:40] if damage == "cut off" else b"")
+    (tmp_path / "camchain.yaml").write_text(KALIBR)
+    reader = open_recording(tmp_path)
+    images = [r.topic for r in reader.records() if isinstance(r.record, ImageRecord)]
+    assert [images.count(f"/{side}/image_raw") for side in ("left", "right")] == [2, 3]
+    assert [count for text, count in reader.skipped.items() if broken.name in text] == [1]
+
+
+@pytest.mark.parametrize("factor", [0.25, 0.5, 2.0, 4.0])
+@pytest.mark.parametrize("text", [KITTI, MIDDLEBURY, f"{FX} 0 15.5\n0 {FX} 11.5\n0 0 1"])
+def test_a_calibration_that_states_no_size_must_fit_the_images(tmp_path, text, factor):
+    (tmp_path / "calib.txt").write_text(text)
+    read_calibration([tmp_path / "calib.txt"], SIZE)
+    size = round(SIZE[0] * factor), round(SIZE[1] * factor)
+    with pytest.raises(CalibrationError, match=rf"\(1[56], 12\) px.*{size[0]}x{size[1]} px"):
+        read_calibration([tmp_path / "calib.txt"], size)
+
+
+def test_depth_images_alone_with_poses(tmp_path):
+    (tmp_path / "depth").mkdir()
+    cv2.imwrite(str(tmp_path / "depth" / "0.png"), np.full((24, 32), 1000, np.uint16))
+    (tmp_path / "camera-intrinsics.txt").write_text(f"{FX} 0 15.5\n0 {FX} 11.5\n0 0 1")
+    (tmp_path / "poses.txt").write_text("0.0 0 0 1 0.5 -0.5 0.5 -0.5")
+    kinds = [type(record.record) for record in open_recording(tmp_path).records()]
+    assert kinds == [PoseRecord, CameraInfoRecord, ImageRecord]
+
+
+def test_an_assumed_calibration_is_said(tmp_path):
+    for name, kind in (("rgb", np.uint8), ("depth", np.uint16)):
+        (tmp_path / name).mkdir()
+        cv2.imwrite(str(tmp_path / name / "1.png"), np.zeros((480, 640), kind))
+        (tmp_path / f"{name}.txt").write_text(f"1.0 {name}/1.png")
+    said: list[str] = []
+    convert("tum", tmp_path, tmp_path / "bag", say=said.append)
+    assert len(said) == 1
+    assert "525 px" in said[0]
 
 
 def test_unknown_layout_lists_the_known(tmp_path):

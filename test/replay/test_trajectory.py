@@ -14,8 +14,8 @@ from infomap_ros.geometry import (
     TransformRecord,
     make_transform,
 )
-from infomap_ros.localization import KeptPoses
-from infomap_ros.motion import RobotModel
+from infomap_ros.localization.filter.records import KeptPoses
+from infomap_ros.motion.robot.robot_model import RobotModel
 from infomap_ros.pipeline.robot_motion import RobotMotion
 from infomap_ros.replay.localizing.trajectory import TrajectoryRecorder
 from infomap_ros.replay.sequences.registration import ColorCamera, register_depth

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
 import pytest
 
 from infomap_ros.errors import ConfigError, InvalidInputError
+from infomap_ros.mapping.files.octomap_file import write_bt, write_ot
 from infomap_ros.simulation.simulator import Simulator
+from infomap_ros.simulation.worlds import file_world
 from infomap_ros.simulation.worlds.builder import World
 from infomap_ros.simulation.worlds.scenes import build_scene, describe_scene, make_world, scene_of
 
@@ -130,6 +133,31 @@ def test_a_floor_plan_stands_up(tmp_path: Path) -> None:
     np.testing.assert_allclose((left, right), (4.5 - 3.5, 3.5 + 1.5), atol=1e-6)
     assert "11.0 x 7.0 m, walls of 1.5 m" in world.note
     assert look(make_world(write_plan(tmp_path), 1, start=(1.5, 0.5)), 1.2)[0] == pytest.approx(8.0)
+
+
+@pytest.mark.parametrize("ending", [".bt", ".ot"])
+@pytest.mark.parametrize("most", [10_000, 10])
+def test_an_octree_stands_on_its_floor(
+    tmp_path: Path, ending: str, most: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The room at 0.1 m, its floor at z = 1.1 m; with few boxes, in larger voxels."""
+    monkeypatch.setattr(file_world, "_MOST_BOXES", most)
+    full = np.indices((84, 64, 23)).reshape(3, -1).T
+    wall = (full[:, :2] < 2).any(axis=1) | (full[:, 0] > 81) | (full[:, 1] > 61)
+    inside = full[~wall & (full[:, 2] > 0)]
+    solid = full[wall | (full[:, 2] == 0)]
+    voxels = np.concatenate([solid, inside]) + np.array([-2, -2, 10])
+    log_odds = np.where(np.arange(len(voxels)) < len(solid), 2.0, -2.0).astype(np.float32)
+    config = SimpleNamespace(voxel_size=0.1)
+    known = SimpleNamespace(config=config, voxels=lambda: (voxels.astype(np.int32), log_odds))
+    path = tmp_path / f"room{ending}"
+    (write_bt if ending == ".bt" else write_ot)(known, path)
+    world = make_world(str(path), 1, start=(3.0, 2.0))
+    np.testing.assert_allclose(look(world, 1.5), (WIDTH - 3.0, DEPTH - 2.0, 3.0, 2.0), atol=1e-3)
+    above = np.array([[-3.1, 0.0, 4.0]])  # the wall behind
+    down = world.surface.first_hits(above, above - (0.0, 0.0, 4.5))
+    assert 4.0 - 4.5 * float(down[0]) == pytest.approx(2.2, abs=1e-3)
+    assert "above its floor" in world.note
 
 
 @pytest.mark.parametrize(

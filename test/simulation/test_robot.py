@@ -10,7 +10,7 @@ import pytest
 from infomap_ros.errors import RobotModelError
 from infomap_ros.geometry import PinholeCamera, make_transform, perturb_transform
 from infomap_ros.geometry.resources import find_share
-from infomap_ros.motion import RobotModel
+from infomap_ros.motion.robot.robot_model import RobotModel
 from infomap_ros.simulation.body.robot import (
     RobotState,
     fixed_frames,
@@ -18,7 +18,7 @@ from infomap_ros.simulation.body.robot import (
     stereo_baseline,
 )
 from infomap_ros.simulation.cameras.rendering import COLLISION_GROUP
-from infomap_ros.simulation.survey import ARM_JOINTS
+from infomap_ros.simulation.recorder import ARM_JOINTS
 from infomap_ros.simulation.worlds.builder import World
 
 PATH = find_share("config/rover.urdf")

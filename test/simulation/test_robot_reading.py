@@ -8,16 +8,22 @@ import cv2
 import numpy as np
 import pytest
 
+from infomap_ros.cli.robot_command import robot
+from infomap_ros.cli.settings import with_settings
 from infomap_ros.errors import RobotModelError
 from infomap_ros.geometry.resources import find_share
+from infomap_ros.motion.base.vehicle import Vehicle
 from infomap_ros.simulation.body.drive_train import DriveTrainConfig
 from infomap_ros.simulation.body.robot import read_description
 from infomap_ros.simulation.body.robot_setup import RobotSetupConfig
 from infomap_ros.simulation.cameras.stereo_camera import StereoCameraConfig
+from infomap_ros.simulation.exploring.exploration_run import ExplorationOptions
 from infomap_ros.simulation.robots.drawing import draw_robot
+from infomap_ros.simulation.robots.robot_file import RobotFile
 from infomap_ros.simulation.robots.robot_reading import RobotReading, read_robot
 from infomap_ros.simulation.robots.trial_drive import level_ground, try_drive
 from infomap_ros.simulation.simulator import Simulator, SimulatorConfig
+from test.motion.test_fixed_camera import fixed_rover
 
 DATA = "package://example-robot-data/robots/"
 CAMERA = StereoCameraConfig(width=64, height=48, supersampling=1)
@@ -49,6 +55,62 @@ def test_a_guessed_robot_stands_looks_ahead_and_touches_nothing(
     assert robot.contacts == 0
 
 
+def two_wheels(clearance: float) -> str:
+    """A robot on two wheels at the back, its base so far above the ground, with an arm [m]."""
+
+    def link(name: str, size: str, place: str, mass: float, shape: str = "") -> str:
+        solid = f"<origin xyz='{place}' rpy='{'1.5708 0 0' if shape else '0 0 0'}'/>"
+        geometry = f"<geometry>{shape or f'<box size={size!r}/>'}</geometry>"
+        inertia = "<inertia ixx='0.1' iyy='0.1' izz='0.1' ixy='0' ixz='0' iyz='0'/>"
+        inertial = f"<inertial><origin xyz='{place}'/><mass value='{mass}'/>{inertia}</inertial>"
+        return f"<link name='{name}'>{inertial}<collision>{solid}{geometry}</collision></link>"
+
+    def joint(kind: str, parent: str, child: str, place: str, axis: str) -> str:
+        limit = "<limit lower='-2' upper='2' effort='50' velocity='1'/>"
+        ends = f"<parent link='{parent}'/><child link='{child}'/><axis xyz='{axis}'/>"
+        rest = f"{ends}<origin xyz='{place}'/>{limit}</joint>"
+        return f"<joint name='{child}_joint' type='{kind}'>{rest}"
+
+    middle = clearance + 0.15
+    parts = [link("base_link", "0.5 0.3 0.3", f"0.15 0 {middle}", 20.0)]
+    for side, y in (("left", 0.2), ("right", -0.2)):
+        tire = "<cylinder radius='0.08' length='0.04'/>"
+        parts += [link(side, "", "0 0 0", 1.0, tire)]
+        parts += [joint("continuous", "base_link", side, f"0 {y} 0.08", "0 1 0")]
+    parent, place = "base_link", f"0.2 0 {middle + 0.2}"
+    for number, axis in enumerate(("0 0 1", "0 1 0", "0 1 0", "0 1 0")):
+        child = f"arm_{number}"
+        parts += [link(child, "0.05 0.05 0.18", "0 0 0.09", 0.3)]
+        parts += [joint("revolute", parent, child, place, axis)]
+        parent, place = child, "0 0 0.2"
+    return f"<robot name='two'>{''.join(parts)}</robot>"
+
+
+def test_a_base_into_which_casters_are_drawn_stands_on_it(tmp_path: Path) -> None:
+    (tmp_path / "two.urdf").write_text(two_wheels(0.003))
+    reading = read_robot(str(tmp_path / "two.urdf"))
+    assert reading.stands
+    assert reading.file.setup.casters == ("base_link",)
+    assert not reading.file.setup.hovering
+    assert reading.file.footprint == (-0.1, -0.22, 0.4, -0.22, 0.4, 0.22, -0.1, 0.22)
+    assert reading.file.max_step == pytest.approx(0.06)
+    (tmp_path / "two.yaml").write_text(reading.file.text("two"))
+    read = RobotFile.read(tmp_path / "two.yaml")
+    assert (read.footprint, read.max_step) == (reading.file.footprint, reading.file.max_step)
+    options = with_settings(ExplorationOptions(), read.settings)
+    vehicle = Vehicle.from_robot(reading.robot, options.planner.reaching.vehicle)
+    assert len(vehicle.undercarriage.names) == 4
+
+
+def test_a_robot_that_tips_over_is_a_failure(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "two.urdf").write_text(two_wheels(0.1))
+    with pytest.raises(RobotModelError, match=r"tips over .*two\.png"):
+        robot(str(tmp_path / "two.urdf"), tmp_path / "two.yaml")
+    assert (tmp_path / "two.png").exists()
+
+
 def test_each_guess_says_which_parameter_and_why(tiago: RobotReading) -> None:
     named = {guess.partition(":")[0] for guess in tiago.guesses}
     assert named == {"robot.camera_mount", "robot.baseline", "robot.home"}
@@ -72,8 +134,29 @@ def test_another_camera_can_be_asked_for() -> None:
     assert head.file.setup.arm_joints == ("torso_lift_joint", "head_1_joint", "head_2_joint")
     with pytest.raises(RobotModelError, match=r"--camera eye.*xtion_rgb_optical_frame"):
         read_robot(place, "eye")
-    with pytest.raises(RobotModelError, match="no joint moves it"):
-        read_robot(place, "base_cover_link")
+    cover = read_robot(place, "base_cover_link")
+    assert cover.file.setup.camera_mount.startswith("base_cover_link:")
+    assert cover.file.setup.arm_joints == ()
+
+
+def test_a_camera_fixed_on_the_base_needs_no_arm(tmp_path: Path) -> None:
+    (tmp_path / "fixed.urdf").write_text(fixed_rover())
+    reading = read_robot(str(tmp_path / "fixed.urdf"))
+    assert reading.file.setup.left_camera_frame == "left_camera_optical_frame"
+    assert reading.file.setup.right_camera_frame == "right_camera_optical_frame"
+    assert reading.stands and reading.robot.arm.joint_names == ()
+    assert reading.guesses == reading.warnings == ()
+    assert any("fixed on the base" in line for line in reading.understood)
+
+
+def test_without_camera_and_arm_a_link_is_asked_for(tmp_path: Path) -> None:
+    bare = fixed_rover().replace("optical", "lens")
+    (tmp_path / "bare.urdf").write_text(bare)
+    with pytest.raises(RobotModelError, match=r"no link with 'optical'.*--camera LINK"):
+        read_robot(str(tmp_path / "bare.urdf"))
+    reading = read_robot(str(tmp_path / "bare.urdf"), "left_camera_frame")
+    assert reading.file.setup.camera_mount.startswith("left_camera_frame: 0.02 0 0")
+    assert reading.robot.arm.camera_pose([])[0, 2] == pytest.approx(1.0)  # looks ahead
 
 
 def test_the_gain_that_fits_is_the_ratio_of_wheels_and_base() -> None:

@@ -22,7 +22,7 @@ from infomap_ros.geometry import (
 )
 from infomap_ros.geometry.resources import find_share
 from infomap_ros.geometry.transforms import transform_points
-from infomap_ros.motion import RobotModel
+from infomap_ros.motion.robot.robot_model import RobotModel
 from infomap_ros.replay.bags.reader import BagReader
 from infomap_ros.simulation.worlds.builder import World
 from infomap_ros.simulation.worlds.scenes import build_scene

@@ -12,8 +12,8 @@ import pytest
 from infomap_ros.cli.settings import with_settings
 from infomap_ros.errors import InvalidInputError
 from infomap_ros.exploration.loop import EndReason
-from infomap_ros.exploration.records.pose_predictions import pose_predictions
 from infomap_ros.exploration.records.recorded_run import read_run
+from infomap_ros.exploration.records.run_figures import pose_predictions
 from infomap_ros.exploration.task import TaskConfig
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.simulation.exploring.exploration_run import (

@@ -9,7 +9,7 @@ import pytest
 
 from infomap_ros.errors import InvalidInputError, RobotModelError, SimulationError
 from infomap_ros.geometry import PinholeCamera, invert_transform, make_transform
-from infomap_ros.motion import RobotModel
+from infomap_ros.motion.robot.robot_model import RobotModel
 from infomap_ros.simulation.body.drive_train import planar
 from infomap_ros.simulation.body.robot_setup import RobotSetupConfig
 from infomap_ros.simulation.cameras.depth_eye import DepthEye, DepthEyeConfig
@@ -224,6 +224,28 @@ def test_wheels_with_rollers_move_the_base_as_they_are_told(flat: World, descrip
         assert driven[0] == pytest.approx(0.2 * 4.0, abs=0.1)
         assert abs(driven[1]) < 0.1
     assert away[0] < 0.01 < away[1]
+
+
+@pytest.mark.parametrize("uphill", [0.25, -0.25])
+def test_rollers_keep_a_slow_speed_uphill_and_downhill_and_stand_there(
+    flat: World, description: str, uphill: float
+) -> None:
+    """A drag that they do not overcome leaves slow turns and drives unfinished: they are stuck."""
+    config = dataclasses.replace(CONFIG, robot=RobotSetupConfig(rollers=True))
+    robot = Simulator(flat, description, config)
+    robot.scene[0].opt.gravity[0] = -9.81 * uphill
+    robot.step(2.0)
+    start = robot.true_pose()
+    for _ in range(30):
+        robot.command_velocity(0.08, 0.0)
+        robot.step(0.2)
+    driven = planar(np.linalg.inv(start) @ robot.true_pose())[0]
+    assert driven == pytest.approx(0.08 * 6.0, abs=0.1)
+    robot.stop()
+    robot.step(2.0)
+    stands = robot.true_pose()
+    robot.step(5.0)
+    assert np.linalg.norm(robot.true_pose()[:3, 3] - stands[:3, 3]) < 0.02
 
 
 def test_rollers_push_no_harder_than_they_grip(description: str) -> None:

@@ -6,11 +6,10 @@ from scipy.spatial.transform import Rotation
 
 from infomap_ros.geometry import transform_points
 from infomap_ros.geometry.resources import find_share
-from infomap_ros.motion import RobotModel
+from infomap_ros.motion.robot.robot_model import RobotModel
 from infomap_ros.simulation.body.chassis import Chassis
 from infomap_ros.simulation.body.robot import RobotState
-from infomap_ros.simulation.recorder import RecorderConfig
-from infomap_ros.simulation.survey import ARM_JOINTS, Survey
+from infomap_ros.simulation.recorder import ARM_JOINTS, RecorderConfig, Survey
 from infomap_ros.simulation.worlds.builder import World
 from infomap_ros.simulation.worlds.terrain import Terrain
 

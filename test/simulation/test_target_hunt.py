@@ -15,7 +15,7 @@ from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.localization.fiducials.range_view import StereoView
 from infomap_ros.localization.target.tag_detector import TagTargetConfig, TagTargetDetector
 from infomap_ros.localization.target.target import TargetSighting
-from infomap_ros.motion import RobotModel
+from infomap_ros.motion.robot.robot_model import RobotModel
 from infomap_ros.motion.route import ArmPath
 from infomap_ros.simulation.body.robot import read_description
 from infomap_ros.simulation.cameras.stereo_camera import StereoCameraConfig

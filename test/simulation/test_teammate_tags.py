@@ -11,7 +11,7 @@ from infomap_ros.localization.fiducials.range_view import StereoView
 from infomap_ros.localization.target.map_alignment import Alignment, align_by_sighting
 from infomap_ros.localization.target.robot_tags import RobotTagFinder, tag_pose
 from infomap_ros.localization.target.team_alignment import TeamAlignment, TeamTagsConfig
-from infomap_ros.simulation.body.tag_plates import add_tag_plates
+from infomap_ros.simulation.body.robot_body import add_tag_plates
 from infomap_ros.simulation.cameras.stereo_camera import StereoCameraConfig
 from infomap_ros.simulation.simulator import Simulator, SimulatorConfig
 from infomap_ros.simulation.worlds.builder import World

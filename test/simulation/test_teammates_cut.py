@@ -11,7 +11,7 @@ from infomap_ros.exploration.team.team_bodies import TeamBodies
 from infomap_ros.exploration.team.teamwork import Presence, Teamwork
 from infomap_ros.geometry import PlacedSolid, make_transform, points_inside
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
-from infomap_ros.motion import RobotModel
+from infomap_ros.motion.robot.robot_model import RobotModel
 from infomap_ros.pipeline.range_estimator import RangeMeasurement
 from infomap_ros.pipeline.scan_synchronizer import Scan
 from infomap_ros.simulation.exploring.simulated_robot import SimulatedRobot, SimulatedRobotConfig

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from infomap_ros.errors import ConfigError
-from infomap_ros.motion import RobotModel
 from infomap_ros.motion.robot.body_shapes import BodyShape
+from infomap_ros.motion.robot.robot_model import RobotModel
 from infomap_ros.simulation.body.robot import read_description
 from infomap_ros.simulation.body.robot_setup import RobotSetupConfig
 from infomap_ros.simulation.body.trial import measure_robot

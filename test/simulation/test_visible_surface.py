@@ -18,16 +18,14 @@ from infomap_ros.geometry import (
 )
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.simulation.exploring.pose_audit import audit_pose
-from infomap_ros.simulation.exploring.reachable_views import (
-    ReachableViewsConfig,
-    reachable_cameras,
-    standable_places,
-)
 from infomap_ros.simulation.exploring.truth import TrueSurface
 from infomap_ros.simulation.exploring.visible_surface import (
+    ReachableViewsConfig,
     VisibleSurfaceConfig,
     covered,
     map_errors,
+    reachable_cameras,
+    standable_places,
     surface_coverage,
     visible_surface,
 )

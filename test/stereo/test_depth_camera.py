@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 
 from infomap_ros.errors import CalibrationError, ConfigError, InvalidInputError
-from infomap_ros.geometry import PinholeCamera
+from infomap_ros.geometry import PinholeCamera, transform_from_quaternion
+from infomap_ros.mapping import VoxelMap, VoxelMapConfig
+from infomap_ros.mapping.correction.scan_record import keep_scan
 from infomap_ros.stereo import DepthCameraConfig, DepthCameraSensor
 
 CAMERA = PinholeCamera(64, 48, 60.0, 60.0, 31.5, 23.5)
@@ -103,3 +105,24 @@ def test_impossible_configurations_are_refused():
         DepthCameraConfig(edge_window=4)
     with pytest.raises(ConfigError, match="max_depth"):
         DepthCameraConfig(min_depth=2.0, max_depth=1.0)
+
+
+def test_free_space_needs_no_return():
+    """REP 117: +inf is free up to the range of the map, -inf and NaN say nothing."""
+    camera = PinholeCamera(160, 120, 100.0, 100.0, 79.5, 59.5)
+    depth = np.full((120, 160), np.inf, np.float32)
+    depth[:, :40], depth[:, 120:] = -np.inf, np.nan
+    cloud = DepthCameraSensor(camera).measure(depth)
+    assert not cloud.valid.any()
+    voxel_map = VoxelMap(VoxelMapConfig(voxel_size=0.1, max_range=3.0))
+    ahead = transform_from_quaternion((-0.5, 0.5, -0.5, 0.5), (0.0, 0.0, 0.0))
+    triangles = cloud.covariance_triangles
+    voxel_map.integrate(cloud.organized_points, ahead, triangles, camera=camera)
+    places = np.array([[2.5, 0, 0], [2.5, 1.6, 0], [2.5, -1.6, 0], [3.2, 0, 0]])
+    assert voxel_map.is_known(places).tolist() == [True, False, False, False]
+    assert voxel_map.probability(places)[0] < 0.4
+    assert voxel_map.surface_voxels == 0
+    kept = keep_scan(cloud.organized_points, triangles, camera).restore()
+    again = VoxelMap(voxel_map.config)
+    again.integrate(kept.points, ahead, kept.covariances, camera=camera)
+    assert again.known_voxels == voxel_map.known_voxels

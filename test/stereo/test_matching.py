@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from infomap_ros.errors import CalibrationError
 from infomap_ros.geometry import PinholeCamera, StereoRig
-from infomap_ros.stereo import StereoConfig, StereoRangeSensor
+from infomap_ros.stereo import StereoConfig
 from infomap_ros.stereo.ground_truth import load_pairs
 from infomap_ros.stereo.matching import DisparityMatcher, disparity_range
 
@@ -45,14 +45,6 @@ def test_a_principal_offset_shifts_the_search():
     plain, shifted = (disparity_range(rig(offset=o), config) for o in (0.0, 30.0))
     assert (plain.minimum, shifted.minimum) == (5, -25)
     assert plain.count == shifted.count
-
-
-def test_depth_limits_tell_what_the_search_reaches():
-    sensor = StereoRangeSensor(rig(), StereoConfig(min_depth=0.1, max_depth=10.0, max_search=0.1))
-    nearest, farthest = sensor.depth_limits
-    assert nearest == pytest.approx(50.0 / sensor.search.maximum)
-    assert nearest > 0.1
-    assert farthest == 10.0
 
 
 def test_an_image_too_narrow_to_search_is_refused():

@@ -15,11 +15,10 @@ from infomap_ros.studies.baselines.tree import grow_tree
 from infomap_ros.studies.planar.explore import ExplorationConfig, PlanarExplorer
 from infomap_ros.studies.planar.generators import make_world
 from infomap_ros.studies.planar.settings import planar_choice
-from infomap_ros.views import Situation
 from infomap_ros.views.ranking.options import Options
 from infomap_ros.views.ranking.rating import Ratings
-from infomap_ros.views.sampling.surroundings import Surroundings
-from infomap_ros.views.sampling.survey import survey
+from infomap_ros.views.sampling.surroundings import Surroundings, survey
+from infomap_ros.views.situation import Situation
 
 CELL, RANGE = 1.0, 15.0
 

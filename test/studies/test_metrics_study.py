@@ -11,6 +11,7 @@ import pytest
 from typer.testing import CliRunner
 
 from infomap_ros.cli import app
+from infomap_ros.cli.study_metrics import values_by_share
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.studies.common.runs import Kept
 from infomap_ros.studies.metrics.metric_run import MetricRun, what_scans_tell
@@ -23,7 +24,6 @@ from infomap_ros.studies.metrics.metrics_study import (
     rows_of,
     tasks_of,
 )
-from infomap_ros.studies.metrics.unknown import values_by_share
 from infomap_ros.studies.planar.explore import ExplorationConfig, explore
 from infomap_ros.studies.planar.generators import make_world
 from infomap_ros.studies.planar.sensor import SensorConfig, level_pose, take_scan

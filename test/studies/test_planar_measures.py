@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from infomap_ros.cli.study_planar import relations, way_ratio
 from infomap_ros.studies.baselines.frontier_tour import open_tour, tour_length
 from infomap_ros.studies.common.bands import band, curve_band
 from infomap_ros.studies.planar.explore import Exploration, ExplorationConfig
@@ -19,7 +20,6 @@ from infomap_ros.studies.planar.measures import (
     saving,
 )
 from infomap_ros.studies.planar.planar_study import BASELINES, Row, compare, savings_of
-from infomap_ros.studies.planar.relations import relations, way_ratio
 from infomap_ros.studies.planar.report import draw_savings
 from infomap_ros.studies.planar.tasks import Record, Task, WorldName
 

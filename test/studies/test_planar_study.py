@@ -35,11 +35,11 @@ from infomap_ros.studies.planar.sensor import SensorConfig, level_pose, take_sca
 from infomap_ros.studies.planar.tasks import Record, run_tasks
 from infomap_ros.studies.planar.team_explore import explore_together
 from infomap_ros.studies.planar.world import PlanarWorld
-from infomap_ros.views import ExpectedInformation, Situation
+from infomap_ros.views.information.view_information import ExpectedInformation
 from infomap_ros.views.ranking.options import Options
 from infomap_ros.views.ranking.rating import Ratings
 from infomap_ros.views.ranking.strategy import Scores
-from infomap_ros.views.unproductive_looks import UnproductiveLooksConfig
+from infomap_ros.views.situation import Situation
 
 TUTORIAL = Path(__file__).resolve().parents[2] / "docs" / "tutorial_own_strategy.md"
 SHORT = ExplorationConfig(scans=5)
@@ -127,7 +127,7 @@ def test_what_a_view_promised_in_vain_is_not_expected_again(world: PlanarWorld) 
         world,
         strategy,
         replace(SHORT, scans=7),
-        unproductive=UnproductiveLooksConfig(look_limit=0.01),
+        look_limit=0.01,
     )
     promised, again = 0.0, 0.0
     for situation in strategy.asked:
@@ -143,12 +143,10 @@ def test_what_a_view_promised_in_vain_is_not_expected_again(world: PlanarWorld) 
 def test_only_the_own_strategies_give_voxels_up() -> None:
     strategies = (*PlanarStudyConfig.strategies, "my_strategy.Thrifty")
     tasks = tasks_of(PlanarStudyConfig(worlds=0, strategies=strategies))
-    with_it = [task for task in tasks if task.unproductive is not None]
+    with_it = [task for task in tasks if task.look_limit is not None]
     assert [task.label for task in with_it] == ["largest_information", "look_ahead", "Thrifty"]
-    without = replace(with_it[0], unproductive=None)
-    assert (
-        "unproductive" in with_it[0].fingerprint() and "unproductive" not in without.fingerprint()
-    )
+    without = replace(with_it[0], look_limit=None)
+    assert "look_limit" in with_it[0].fingerprint() and "look_limit" not in without.fingerprint()
 
 
 def test_results_are_kept_and_not_computed_again(tmp_path: Path) -> None:

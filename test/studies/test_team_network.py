@@ -6,7 +6,7 @@ import pytest
 
 from infomap_ros.studies.team.team_lag import LagMeter
 from infomap_ros.studies.team.team_network import Radio, TeamNetwork
-from infomap_ros.team import TeamConfig
+from infomap_ros.team.config import TeamConfig
 
 
 @pytest.mark.parametrize("loss", [0.0, 0.2])

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from infomap_ros.geometry import PinholeCamera, make_transform, transform_points
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
-from infomap_ros.team import TeamMember
+from infomap_ros.team.member import TeamMember
 from infomap_ros.team.moving import moved_map
 
 CONFIG = VoxelMapConfig(voxel_size=0.1, max_range=4.0)

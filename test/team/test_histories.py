@@ -10,11 +10,11 @@ from hypothesis import strategies as st
 
 from infomap_ros.errors import UpdateRefusedError
 from infomap_ros.mapping import NOT_OBSERVED, VoxelMap, VoxelMapConfig
-from infomap_ros.team import MapUpdate
 from infomap_ros.team.config import TeamConfig
 from infomap_ros.team.freshness import REPEATED
 from infomap_ros.team.member import TeamMember
 from infomap_ros.team.membership import TELLS_ITSELF, TWO_OF_A_NAME
+from infomap_ros.team.update import MapUpdate
 
 CONFIG = VoxelMapConfig(voxel_size=0.1, max_range=3.0)
 TEAM = TeamConfig(message_size=1000, silence=2.0, recovery=3.0)

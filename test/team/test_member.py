@@ -7,8 +7,10 @@ import pytest
 
 from infomap_ros.errors import InvalidInputError
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
-from infomap_ros.team import TeamConfig, TeamMember, decode_update
+from infomap_ros.team.config import TeamConfig
 from infomap_ros.team.digest import CellDigest, decode_request
+from infomap_ros.team.member import TeamMember
+from infomap_ros.team.wire import decode_update
 
 CONFIG = VoxelMapConfig(voxel_size=0.1, max_range=3.0)
 TEAM = TeamConfig(message_size=2000, silence=1.0, recovery=2.0)

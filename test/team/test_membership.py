@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from infomap_ros.errors import InvalidInputError, UpdateRefusedError
-from infomap_ros.team import OCCUPANCY_ROW, MapUpdate, encode_update
 from infomap_ros.team.authentication import NOT_AUTHENTIC, TeamKey
 from infomap_ros.team.membership import (
     AHEAD,
@@ -19,6 +18,8 @@ from infomap_ros.team.membership import (
     Membership,
 )
 from infomap_ros.team.message_header import dtype_with_header
+from infomap_ros.team.update import MapUpdate
+from infomap_ros.team.wire import OCCUPANCY_ROW, encode_update
 
 
 def update(robot: int, version: int, session: int = 1, sender: int | None = None) -> MapUpdate:

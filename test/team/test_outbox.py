@@ -8,13 +8,15 @@ from numpy.typing import NDArray
 from infomap_ros.geometry import make_transform
 from infomap_ros.mapping import LOG_ODDS_QUANTUM, NOT_OBSERVED, VoxelMap, VoxelMapConfig
 from infomap_ros.mapping.voxels.changes import changed_blocks, take_changes
-from infomap_ros.team import TeamConfig, TeamMember, decode_update
+from infomap_ros.team.config import TeamConfig
 from infomap_ros.team.contribution import Contribution
 from infomap_ros.team.contribution_kernels import unpack_keys
+from infomap_ros.team.member import TeamMember
 from infomap_ros.team.message_header import dtype_with_header
 from infomap_ros.team.priority import priority_of_changes
 from infomap_ros.team.sent import SentMessages
 from infomap_ros.team.update import MapUpdate
+from infomap_ros.team.wire import decode_update
 
 CONFIG = VoxelMapConfig(voxel_size=0.1, max_range=3.0)
 Place = tuple[int, ...]

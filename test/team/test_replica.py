@@ -10,16 +10,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from infomap_ros.errors import CapacityError, InvalidInputError
-from infomap_ros.mapping import LOG_ODDS_QUANTUM, VoxelChanges, VoxelMap, VoxelMapConfig
-from infomap_ros.mapping.voxels.queries import voxel_of
-from infomap_ros.team import (
+from infomap_ros.mapping import (
+    LOG_ODDS_QUANTUM,
     NOT_OBSERVED,
-    MapReplica,
-    MapUpdate,
-    decode_update,
-    encode_update,
-    next_version,
+    VoxelChanges,
+    VoxelMap,
+    VoxelMapConfig,
 )
+from infomap_ros.mapping.voxels.queries import voxel_of
+from infomap_ros.team.replica import MapReplica
+from infomap_ros.team.update import MapUpdate
+from infomap_ros.team.versions import next_version
+from infomap_ros.team.wire import decode_update, encode_update
 
 SIZE = 0.05
 CONFIG = VoxelMapConfig(voxel_size=SIZE)

@@ -9,8 +9,11 @@ from scipy.spatial.transform import Rotation
 from infomap_ros.geometry import PoseUncertainty, make_transform, transform_points
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
-from infomap_ros.team import MapReplica, TeamConfig, TeamMember, decode_update
+from infomap_ros.team.config import TeamConfig
+from infomap_ros.team.member import TeamMember
 from infomap_ros.team.moving import moved_map
+from infomap_ros.team.replica import MapReplica
+from infomap_ros.team.wire import decode_update
 
 RANGE = 0.004
 DEPTH = 1.025

@@ -9,16 +9,10 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from infomap_ros.errors import InvalidInputError
-from infomap_ros.mapping import VoxelChanges
-from infomap_ros.team import (
-    NOT_OBSERVED,
-    OCCUPANCY_ROW,
-    SURFACE_ROW,
-    MapUpdate,
-    decode_update,
-    encode_update,
-)
+from infomap_ros.mapping import NOT_OBSERVED, VoxelChanges
 from infomap_ros.team.message_header import dtype_with_header
+from infomap_ros.team.update import MapUpdate
+from infomap_ros.team.wire import OCCUPANCY_ROW, SURFACE_ROW, decode_update, encode_update
 
 FACTS = {
     "robot": 7,

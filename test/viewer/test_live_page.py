@@ -17,7 +17,7 @@ from infomap_ros.errors import ExplorationError
 from infomap_ros.geometry import make_transform
 from infomap_ros.geometry.resources import find_share
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
-from infomap_ros.motion import RobotModel
+from infomap_ros.motion.robot.robot_model import RobotModel
 from infomap_ros.viewer import LivePage, PageConfig
 from infomap_ros.viewer.exploration_display import LogDisplay
 from infomap_ros.viewer.interest_box import InterestBox

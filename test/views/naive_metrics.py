@@ -9,7 +9,9 @@ import numpy as np
 from infomap_ros.geometry import PinholeCamera
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.mapping.prediction import predict_unknown
-from infomap_ros.views import InformationConfig
+from infomap_ros.studies.metrics.published_metrics import PROXIMITY_STEPS
+from infomap_ros.views.information.information_config import InformationConfig
+from infomap_ros.views.information.printed_metrics import GRAY_LEVELS
 
 from .naive import entropy, image_cells
 
@@ -76,7 +78,7 @@ def summed(
         for cell, is_known, _ in voxels:
             if not is_known:
                 steps = np.abs(surfaces - cell).sum(axis=1).min()
-                near += weight * max(0, config.proximity - int(steps))
+                near += weight * max(0, PROXIMITY_STEPS - int(steps))
         if ends:
             entropies += weight * sum(entropy(p) for _, _, p in voxels)
             voxel_count += weight * len(voxels)
@@ -111,7 +113,7 @@ def printed(
     config: InformationConfig,
 ) -> dict[str, float]:
     """Eqs. (7), (8) and (9), counting volume step by step along rays."""
-    size, levels = m.config.voxel_size, config.gray_levels
+    size, levels = m.config.voxel_size, GRAY_LEVELS
     steps = max(math.ceil(max_range / size), 64)
     length = max_range / steps
     window = m.window(

@@ -11,7 +11,7 @@ from infomap_ros.geometry import PlacedSolid, Sphere, make_transform
 from infomap_ros.views.sampling import candidates as c
 from infomap_ros.views.sampling.candidates import CandidateConfig, Candidates, find_candidates
 from infomap_ros.views.sampling.orientations import OrientationConfig, look_rotations
-from infomap_ros.views.sampling.survey import SurroundingsConfig, survey
+from infomap_ros.views.sampling.surroundings import SurroundingsConfig, survey
 from infomap_ros.views.situation import Interest, RegionOfTask, Situation, Teammate
 
 from .rooms import CAMERA, facing, seen_room, turning
@@ -75,6 +75,23 @@ def test_local_candidates_are_near(divided: Situation) -> None:
     assert len(gaps) == 40 and gaps.max() <= 0.66
     far = np.linalg.norm(find(divided, local_share=0.0).positions - START, axis=1)
     assert far.max() > 1.2
+
+
+def test_a_camera_fixed_on_a_base_gets_views_at_its_height_and_elevation(
+    divided: Situation,
+) -> None:
+    ahead = changed(
+        divided,
+        heights=(1.013, 1.013),
+        elevations=(-0.2, -0.2),
+        ground_height=lambda places: np.full(len(places), 0.1),
+    )
+    found = find(ahead)
+    assert len(found.positions) == 40
+    np.testing.assert_allclose(found.positions[:, 2], 1.113, atol=1e-9)
+    np.testing.assert_allclose(np.arcsin(found.orientations[..., 2, 2]), -0.2, atol=1e-9)
+    azimuths = np.arctan2(found.orientations[..., 1, 2], found.orientations[..., 0, 2])
+    assert np.ptp(azimuths) > 5.0
 
 
 def test_each_rejected_position_has_its_reason(divided: Situation) -> None:

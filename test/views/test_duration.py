@@ -10,11 +10,10 @@ import numpy as np
 import pytest
 
 from infomap_ros.errors import ConfigError, InvalidInputError
-from infomap_ros.views.decision import RatedView, why_this
+from infomap_ros.views.decision import Flight, RatedView, why_this
 from infomap_ros.views.ranking.look_ahead import LookAhead, LookAheadConfig
 from infomap_ros.views.ranking.rating import Cost, Rating, RatingConfig
 from infomap_ros.views.ranking.terms import Duration
-from infomap_ros.views.reach import Flight
 from infomap_ros.views.situation import MotionTimes, Situation
 
 from .choices import Prescribed, options_of
@@ -139,8 +138,8 @@ def test_the_reason_gives_the_cost_in_its_unit() -> None:
         view = RatedView(np.eye(4), {"information": 10.0, **terms}, 1.0, 1.0)
         return why_this(view, [view], False, 100.0, "bits")
 
-    assert "after 12.3 s" in reason(duration=12.34)
-    assert "at distance 1.23" in reason(distance=1.234)
+    assert "12.3 s away" in reason(duration=12.34)
+    assert "1.23 away (weighted m and rad)" in reason(distance=1.234)
 
 
 def test_impossible_times_and_units_are_refused() -> None:

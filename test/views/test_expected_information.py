@@ -11,7 +11,8 @@ from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry import PinholeCamera, StereoRig, make_transform
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.mapping.voxels.window import UNKNOWN_QUANTA
-from infomap_ros.views import InformationConfig, expected_information
+from infomap_ros.views.information.expected_information import expected_information
+from infomap_ros.views.information.information_config import InformationConfig
 from infomap_ros.views.information.observation_value import expected_reduction
 
 from . import naive

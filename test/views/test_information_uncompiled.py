@@ -11,12 +11,10 @@ import numpy as np
 
 from infomap_ros.geometry import PinholeCamera
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
-from infomap_ros.views import (
-    METRICS,
-    InformationConfig,
-    expected_information,
-    view_gains,
-)
+from infomap_ros.studies.metrics.published_metrics import EVERY_METRIC
+from infomap_ros.views.information.expected_information import expected_information
+from infomap_ros.views.information.information_config import InformationConfig
+from infomap_ros.views.information.voxel_gains import view_gains
 
 from .rooms import CAMERA, box_points, facing
 
@@ -26,13 +24,19 @@ import numpy as np
 from numba import config
 from infomap_ros.geometry import PinholeCamera
 from infomap_ros.mapping import VoxelMap
-from infomap_ros.views import *
+from infomap_ros.views.information.expected_information import expected_information
+from infomap_ros.views.information.information_config import InformationConfig
+from infomap_ros.views.information.voxel_gains import view_gains
+from infomap_ros.studies.metrics.published_metrics import EVERY_METRIC
 
 assert config.DISABLE_JIT
 m, poses = VoxelMap.load(sys.argv[1]), np.load(sys.argv[2])
 camera = PinholeCamera(8, 6, 6.0, 6.0, 3.5, 2.5)
 settings = InformationConfig(0.3, 0.4, wanted_sigma=0.002, predict_unknown=True)
-figures = {name: expected_information(m, poses, camera, 2.0, name, settings) for name in METRICS}
+figures = {
+    name: expected_information(m, poses, camera, 2.0, metric, settings)
+    for name, metric in EVERY_METRIC.items()
+}
 gains = view_gains(m, poses[0], camera, 0.8, InformationConfig(0.2))
 np.savez(sys.argv[3], keys=gains.keys, gains=gains.gains, **figures)
 """
@@ -49,8 +53,8 @@ def test_kernels_do_the_same_uncompiled(tmp_path: Path) -> None:
     out = np.load(paths[2])
     camera = PinholeCamera(8, 6, 6.0, 6.0, 3.5, 2.5)
     settings = InformationConfig(0.3, 0.4, wanted_sigma=0.002, predict_unknown=True)
-    for name in METRICS:
-        value = expected_information(m, poses, camera, 2.0, name, settings)
+    for name, metric in EVERY_METRIC.items():
+        value = expected_information(m, poses, camera, 2.0, metric, settings)
         np.testing.assert_allclose(out[name], value, rtol=1e-6, err_msg=name)
     gains = view_gains(m, poses[0], camera, 0.8, InformationConfig(0.2))
     np.testing.assert_array_equal(out["keys"], gains.keys)

@@ -10,14 +10,14 @@ import pytest
 
 from infomap_ros.errors import ConfigError, InvalidInputError
 from infomap_ros.mapping import VoxelMap
-from infomap_ros.views import METRICS, ExpectedInformation, expected_information
-from infomap_ros.views.approach import ApproachConfig
-from infomap_ros.views.decision import count_reasons
+from infomap_ros.studies.metrics.published_metrics import EVERY_METRIC
+from infomap_ros.views.decision import Flight, FlyingCamera, count_reasons
 from infomap_ros.views.goal_memory import GoalMemory
+from infomap_ros.views.information.expected_information import expected_information
+from infomap_ros.views.information.view_information import ExpectedInformation
 from infomap_ros.views.next_best_view import NextBestView, NextBestViewConfig
-from infomap_ros.views.reach import Flight, FlyingCamera
 from infomap_ros.views.sampling.candidates import CandidateConfig
-from infomap_ros.views.sampling.survey import SurroundingsConfig
+from infomap_ros.views.sampling.surroundings import SurroundingsConfig
 from infomap_ros.views.selection import SelectionConfig
 from infomap_ros.views.situation import RegionOfTask, Situation
 
@@ -96,9 +96,7 @@ def test_unreachable_everywhere_is_said(half_seen: Situation) -> None:
 
 def test_motions_are_planned_to_a_bounded_number_of_views(half_seen: Situation) -> None:
     robot = Robot(far="base path: none")
-    config = dataclasses.replace(
-        FEW, selection=SelectionConfig(refined=12, approach=ApproachConfig(attempts=5))
-    )
+    config = dataclasses.replace(FEW, selection=SelectionConfig(refined=12, attempts=5))
     decision = choose(half_seen, robot, config)
     assert decision.chosen is None and robot.planned == 5
     assert decision.rejections()["base path: none"] == 5
@@ -113,7 +111,7 @@ class BehindTheScreen(Robot):
 
 
 def test_what_fails_in_one_place_is_next_tried_elsewhere(half_seen: Situation) -> None:
-    few = SelectionConfig(refined=12, approach=ApproachConfig(attempts=6))
+    few = SelectionConfig(refined=12, attempts=6)
     robot = BehindTheScreen()
     decision = choose(half_seen, robot, dataclasses.replace(FEW, selection=few))
     failed = [view.pose[:3, 3] for view in decision.candidates if view.rejection == "no path"]
@@ -122,7 +120,7 @@ def test_what_fails_in_one_place_is_next_tried_elsewhere(half_seen: Situation) -
 
 
 def test_next_best_are_refined_when_the_best_all_fail(half_seen: Situation) -> None:
-    few = SelectionConfig(refined=4, approach=ApproachConfig(attempts=60))
+    few = SelectionConfig(refined=4, attempts=60)
     decision = choose(half_seen, BehindTheScreen(), dataclasses.replace(FEW, selection=few))
     assert decision.chosen is not None and decision.chosen.fine
     assert decision.chosen.pose[0, 3] <= 1.6
@@ -313,14 +311,14 @@ def test_wrong_number_of_answers_is_an_error(half_seen: Situation) -> None:
         choose(half_seen, Forgetful())
 
 
-@pytest.mark.parametrize("metric", sorted(METRICS))
+@pytest.mark.parametrize("metric", sorted(EVERY_METRIC))
 def test_every_metric_can_choose(half_seen: Situation, metric: str) -> None:
     few = dataclasses.replace(
         FEW,
         candidates=CandidateConfig(candidates=30),
         selection=SelectionConfig(refined=5),
     )
-    source = ExpectedInformation(metric, quick_ray_spacing=0.1)
+    source = ExpectedInformation(EVERY_METRIC[metric], quick_ray_spacing=0.1)
     decision = NextBestView(few, information=source).select(
         half_seen, FlyingCamera(half_seen.T_map_camera), np.random.default_rng(0)
     )

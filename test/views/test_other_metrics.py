@@ -9,15 +9,16 @@ from scipy.spatial.transform import Rotation
 from infomap_ros.geometry import PinholeCamera, make_transform
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.mapping.voxels.window import UNKNOWN_QUANTA
-from infomap_ros.views import METRICS, InformationConfig, expected_information
+from infomap_ros.studies.metrics.published_metrics import EVERY_METRIC, near_share
+from infomap_ros.views.information.expected_information import expected_information
+from infomap_ros.views.information.information_config import InformationConfig
 from infomap_ros.views.information.printed_metrics import stretched
-from infomap_ros.views.information.published_metrics import near_share
 
 from . import naive, naive_metrics
 from .voxels import map_of
 
 CAMERA = PinholeCamera(64, 48, 50.0, 45.0, 30.0, 25.0)
-CONFIG = InformationConfig(ray_spacing=0.15, min_range=0.4, gray_levels=9, proximity=6)
+CONFIG = InformationConfig(ray_spacing=0.15, min_range=0.4)
 RANGE = 2.3
 OTHERS = (
     "occlusion_aware",
@@ -56,7 +57,7 @@ def test_metrics_of_others_agree_with_naive_sums(seed: int) -> None:
     expected = naive_metrics.summed(m, pose, CAMERA, RANGE, CONFIG, surfaces)
     assert set(expected) == set(OTHERS)
     for metric in OTHERS:
-        value = expected_information(m, pose, CAMERA, RANGE, metric, CONFIG)[0]
+        value = expected_information(m, pose, CAMERA, RANGE, EVERY_METRIC[metric], CONFIG)[0]
         assert value == pytest.approx(expected[metric], rel=1e-5), metric
     assert sum(value > 0.0 for value in expected.values()) >= 5
 
@@ -67,13 +68,13 @@ def test_printed_equations_agree_with_naive_histograms(seed: int) -> None:
     expected = naive_metrics.printed(m, pose, CAMERA, RANGE, CONFIG)
     assert set(expected) == set(PRINTED)
     for metric in PRINTED:
-        value = expected_information(m, pose, CAMERA, RANGE, metric, CONFIG)[0]
+        value = expected_information(m, pose, CAMERA, RANGE, EVERY_METRIC[metric], CONFIG)[0]
         assert value == pytest.approx(expected[metric], rel=1e-6), metric
         assert value > 0.1
 
 
 def test_every_metric_is_tested_here_or_is_the_default() -> None:
-    assert set(METRICS) == {*OTHERS, *PRINTED, "expected_entropy_reduction"}
+    assert set(EVERY_METRIC) == {*OTHERS, *PRINTED, "expected_entropy_reduction"}
 
 
 def test_printed_entropy_of_a_wholly_unknown_view_is_zero() -> None:
@@ -94,9 +95,10 @@ def test_stretched_gray_levels_stay_in_their_half() -> None:
 
 @pytest.mark.parametrize("metric", [*OTHERS, *PRINTED])
 def test_do_not_depend_on_the_number_of_rays(metric: str) -> None:
+    value = EVERY_METRIC[metric]
     m, _, pose = clutter(1)
     fine, finer = (
-        expected_information(m, pose, CAMERA, RANGE, metric, InformationConfig(spacing))[0]
+        expected_information(m, pose, CAMERA, RANGE, value, InformationConfig(spacing))[0]
         for spacing in (0.01, 0.005)
     )
     assert fine == pytest.approx(finer, rel=0.02)
@@ -105,18 +107,19 @@ def test_do_not_depend_on_the_number_of_rays(metric: str) -> None:
 @pytest.mark.parametrize("metric", [*OTHERS, *PRINTED])
 def test_only_the_region_counts(metric: str) -> None:
     """Information of two halves is that of the whole, where a metric is a sum over voxels."""
+    value = EVERY_METRIC[metric]
     m, _, pose = clutter(2)
     cut = pose[0, 3] + 0.7 * pose[0, 2]
     halves = np.array([[[-99.0] * 3, [cut, 99.0, 99.0]], [[cut, -99.0, -99.0], [99.0] * 3]])
-    whole = expected_information(m, pose, CAMERA, RANGE, metric, CONFIG)[0]
+    whole = expected_information(m, pose, CAMERA, RANGE, value, CONFIG)[0]
     parts = [
-        expected_information(m, pose, CAMERA, RANGE, metric, CONFIG, region=half, threads=2)[0]
+        expected_information(m, pose, CAMERA, RANGE, value, CONFIG, region=half, threads=2)[0]
         for half in halves
     ]
     if metric in ("occlusion_aware", "unobserved_voxels", "proximity_count", "rear_side_voxel"):
         assert sum(parts) == pytest.approx(whole, rel=1e-9)
     nowhere = np.array([[50.0] * 3, [51.0] * 3])
-    assert expected_information(m, pose, CAMERA, RANGE, metric, CONFIG, nowhere)[0] == 0.0
+    assert expected_information(m, pose, CAMERA, RANGE, value, CONFIG, nowhere)[0] == 0.0
 
 
 def test_area_factor_is_largest_at_the_wanted_shares() -> None:

@@ -8,23 +8,19 @@ import pytest
 from infomap_ros.geometry import PinholeCamera
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.mapping.voxels.voxel_states import put_states, unknown_states
-from infomap_ros.views import (
-    ExpectedInformation,
-    InformationConfig,
-    NextBestView,
-    NextBestViewConfig,
-    RegionOfTask,
-    Situation,
-)
-from infomap_ros.views.information.rays import camera_rays
+from infomap_ros.studies.common.flight import FreeFlight
+from infomap_ros.views.information.information_config import InformationConfig
+from infomap_ros.views.information.view_information import ExpectedInformation
+from infomap_ros.views.information.view_query import camera_rays
+from infomap_ros.views.next_best_view import NextBestView, NextBestViewConfig
 from infomap_ros.views.ranking.options import Options
 from infomap_ros.views.ranking.rating import RatingConfig, Ratings
 from infomap_ros.views.ranking.strategy import Scores
 from infomap_ros.views.sampling.candidates import CandidateConfig, find_candidates
 from infomap_ros.views.sampling.coarse_views import full_volume
-from infomap_ros.views.sampling.flight import FreeFlight
 from infomap_ros.views.sampling.orientations import OrientationConfig
-from infomap_ros.views.sampling.survey import SurroundingsConfig, survey
+from infomap_ros.views.sampling.surroundings import SurroundingsConfig, survey
+from infomap_ros.views.situation import RegionOfTask, Situation
 
 from .rooms import facing
 

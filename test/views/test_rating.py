@@ -9,12 +9,17 @@ from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry import Box, PinholeCamera, PlacedSolid, Sphere, make_transform
 from infomap_ros.views.information.information_config import InformationConfig
 from infomap_ros.views.information.view_information import ExpectedInformation
-from infomap_ros.views.ranking.localization_error import OdometryDrift, OdometryDriftConfig
 from infomap_ros.views.ranking.options import Options
 from infomap_ros.views.ranking.rating import Rating, RatingConfig, pose_information_loss
-from infomap_ros.views.ranking.terms import TRUST_AZIMUTH, Distance
+from infomap_ros.views.ranking.terms import (
+    POSITION_PER_METER,
+    ROTATION_PER_METER,
+    TRUST_AZIMUTH,
+    Distance,
+    OdometryDrift,
+)
 from infomap_ros.views.sampling.candidates import CandidateConfig, find_candidates
-from infomap_ros.views.sampling.survey import survey
+from infomap_ros.views.sampling.surroundings import survey
 from infomap_ros.views.situation import Interest, RegionOfTask, Situation, Teammate
 
 from .choices import Prescribed, options_of
@@ -173,22 +178,23 @@ def test_further_terms_are_weighted_in_their_unit(situation: Situation) -> None:
 
 
 def test_localization_error_is_that_of_a_random_walk() -> None:
-    """Against simulated motion with the drift that the configuration states."""
-    config = OdometryDriftConfig(0.05, 0.0, 0.02, 0.0)
+    """Against simulated motion with the drift that the constants state."""
     rng = np.random.default_rng(0)
     runs, steps, length = 20000, 200, 4.0
     step = length / steps
     start = rng.normal(0.0, (0.1, 0.1, 0.03), (runs, 3))
-    heading = start[:, 2] + 0.02 * np.sqrt(step) * np.cumsum(rng.normal(size=(steps, runs)), 0)
+    heading = start[:, 2] + ROTATION_PER_METER * np.sqrt(step) * np.cumsum(
+        rng.normal(size=(steps, runs)), 0
+    )
     x = start[:, 0] + (step * (np.cos(heading) - 1.0)).sum(axis=0)
     y = start[:, 1] + (step * np.sin(heading)).sum(axis=0)
-    noise = 0.05 * np.sqrt(length / 3.0) * rng.normal(size=(3, runs))
+    noise = POSITION_PER_METER * np.sqrt(length / 3.0) * rng.normal(size=(3, runs))
     variance = x.var() + y.var() + 0.0 + (noise**2).sum(axis=0).mean()
     covariance = np.diag((0.1**2, 0.1**2, 0.0, 0.0, 0.0, 0.03**2))
     pose = facing(0.0, START)
     there = facing(0.0, (1.5 + length, 2.0, 1.2))
     now = Situation(seen_room([], ROOM), CAMERA, 4.0, pose, covariance)
-    error = OdometryDrift(config)(now, there[None], np.array([length]))[0]
+    error = OdometryDrift()(now, there[None], np.array([length]))[0]
     assert error == pytest.approx(np.sqrt(variance) - np.sqrt(0.02), rel=0.05)
 
 

@@ -10,7 +10,7 @@ from scipy.sparse.csgraph import dijkstra
 from infomap_ros.geometry import Box, PlacedSolid, make_transform
 from infomap_ros.mapping import FREE, OCCUPIED, UNCERTAIN, UNKNOWN
 from infomap_ros.views.sampling import space_kernels
-from infomap_ros.views.sampling.survey import SurroundingsConfig, horizons, survey
+from infomap_ros.views.sampling.surroundings import SurroundingsConfig, horizons, survey
 from infomap_ros.views.situation import RegionOfTask, Situation
 
 from .rooms import CAMERA, facing, seen_room, turning

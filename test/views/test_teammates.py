@@ -9,14 +9,13 @@ import pytest
 
 from infomap_ros.geometry import PinholeCamera
 from infomap_ros.mapping import VoxelMap
-from infomap_ros.views.decision import ViewDecision
-from infomap_ros.views.information.claimed import claimed_gains, shares_left
+from infomap_ros.views.decision import FlyingCamera, ViewDecision
 from infomap_ros.views.information.view_information import ExpectedInformation
 from infomap_ros.views.next_best_view import NextBestView, NextBestViewConfig
+from infomap_ros.views.ranking.options import claimed_gains, shares_left
 from infomap_ros.views.ranking.rating import Rating
-from infomap_ros.views.reach import FlyingCamera
 from infomap_ros.views.sampling.candidates import NEAR_TEAMMATE, CandidateConfig, find_candidates
-from infomap_ros.views.sampling.survey import survey
+from infomap_ros.views.sampling.surroundings import survey
 from infomap_ros.views.selection import LEFT_TO_TEAMMATE, SelectionConfig
 from infomap_ros.views.situation import RegionOfTask, Situation, Teammate
 

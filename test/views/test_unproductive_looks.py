@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
-from infomap_ros.errors import ConfigError
 from infomap_ros.geometry import make_transform
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.mapping.voxels.keys import pack
-from infomap_ros.views.unproductive_looks import UnproductiveLooks, UnproductiveLooksConfig
+from infomap_ros.views.unproductive_looks import UnproductiveLooks
 
 SIZE = 0.05
 
@@ -35,7 +33,7 @@ NEAR, FAR = (-5, -20, 3), (-70, 2, -3)  # 1 m and 3.5 m from the origin, both un
 
 
 def test_near_voxel_is_given_up_before_a_far_one() -> None:
-    looks, voxel_map = UnproductiveLooks(UnproductiveLooksConfig(look_limit=1.5)), seen()
+    looks, voxel_map = UnproductiveLooks(1.5), seen()
     given_up = []
     for _ in range(8):
         looks.note(keys_of(NEAR, FAR), voxel_map, np.zeros(3), 4.0)
@@ -47,7 +45,7 @@ def test_near_voxel_is_given_up_before_a_far_one() -> None:
 
 
 def test_map_itself_stays_as_it_was_and_the_copy_differs_nowhere_else() -> None:
-    looks, voxel_map = UnproductiveLooks(UnproductiveLooksConfig(look_limit=0.5)), seen()
+    looks, voxel_map = UnproductiveLooks(0.5), seen()
     before = voxel_map.voxels()
     looks.note(keys_of(NEAR), voxel_map, np.zeros(3), 4.0)
     copy = looks.without_them(voxel_map)
@@ -60,7 +58,7 @@ def test_map_itself_stays_as_it_was_and_the_copy_differs_nowhere_else() -> None:
 
 
 def test_voxel_that_becomes_known_is_forgotten() -> None:
-    looks, voxel_map = UnproductiveLooks(UnproductiveLooksConfig(look_limit=0.5)), seen()
+    looks, voxel_map = UnproductiveLooks(0.5), seen()
     looks.note(keys_of(NEAR, FAR), voxel_map, np.zeros(3), 4.0)
     aside = make_transform(np.eye(3), center(NEAR)[0] - (0.5, 0.0, 0.0))
     voxel_map.integrate([(1.0, 0.0, 0.0)], aside)  # a ray through it
@@ -72,7 +70,7 @@ def test_voxel_that_becomes_known_is_forgotten() -> None:
 
 
 def test_given_up_voxels_can_be_asked_for() -> None:
-    looks, voxel_map = UnproductiveLooks(UnproductiveLooksConfig(look_limit=0.5)), seen()
+    looks, voxel_map = UnproductiveLooks(0.5), seen()
     assert not looks.are_given_up(keys_of(NEAR, FAR)).any()
     looks.note(keys_of(NEAR, FAR), voxel_map, np.zeros(3), 4.0)
     np.testing.assert_array_equal(looks.are_given_up(keys_of(FAR, NEAR)), [False, True])
@@ -83,8 +81,3 @@ def test_known_voxels_are_never_counted() -> None:
     looks.note(keys_of((10, 0, 0)), voxel_map, np.zeros(3), 4.0)
     assert len(looks) == 0
     assert looks.without_them(voxel_map) is voxel_map
-
-
-def test_impossible_look_limit_is_refused() -> None:
-    with pytest.raises(ConfigError, match="look_limit"):
-        UnproductiveLooksConfig(look_limit=0.0)

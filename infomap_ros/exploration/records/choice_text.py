@@ -11,9 +11,8 @@ from typing import Any
 import numpy as np
 
 from infomap_ros.errors import InvalidInputError
-from infomap_ros.exploration.progress import MapProgress
 from infomap_ros.exploration.records.run_log import plain
-from infomap_ros.exploration.robot import Choice
+from infomap_ros.exploration.robot import Choice, MapProgress
 from infomap_ros.geometry import check_transform
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.motion.route import ArmPath, Route

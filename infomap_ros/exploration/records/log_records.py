@@ -111,6 +111,7 @@ class Decision:
         position_sigma: root of the trace of the camera's position covariance at the choice [m];
             NaN where not told.
         clock: of the robot [s], in simulation the simulated time; NaN where not told.
+        surface: what of the surface was new, see `surface_growth`; empty where not told.
     """
 
     time: float
@@ -127,6 +128,7 @@ class Decision:
     rejections: Mapping[str, int]
     position_sigma: float = math.nan
     clock: float = math.nan
+    surface: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,3 +169,19 @@ class End:
 
 
 Record = Start | Progress | Decision | Motion | Message | End
+
+
+def rating_text(rating: float | None, terms: Mapping[str, float]) -> str:
+    """A rating and what it is made of; terms that are zero are left out.
+
+    Args:
+        rating: of the view; None or NaN where it was not rated.
+        terms: of the rating, by name.
+    """
+    told = ", ".join(f"{name.replace('_', ' ')} {number(v)}" for name, v in terms.items() if v)
+    return told if rating is None or rating != rating else f"rating {number(rating)}: {told}"
+
+
+def number(value: float) -> str:
+    """A number with three significant digits, and no exponent where it is large."""
+    return f"{value:,.0f}" if abs(value) >= 100.0 else f"{value:.3g}"

@@ -1,29 +1,32 @@
-"""Several explorations on one page: what each was asked, and what came of it."""
+"""Several explorations on one page: compared, or those of the robots of a team."""
 
 from __future__ import annotations
 
 import html
 import json
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 from infomap_ros.errors import InvalidInputError
-from infomap_ros.exploration.records.log_records import Motion, Progress
+from infomap_ros.exploration.records.log_records import Progress, Record, Start
 from infomap_ros.exploration.records.recorded_run import RecordedRun, read_run
-from infomap_ros.exploration.reports.report_page import sections
+from infomap_ros.exploration.reports.report_page import sections, tables
 from infomap_ros.exploration.reports.report_page.axes import DASH, duration, percent, quantity
-from infomap_ros.exploration.reports.report_page.charts import Curve, line_chart, run_class
-from infomap_ros.exploration.reports.report_page.page import Section, page
+from infomap_ros.exploration.reports.report_page.charts import run_class
 from infomap_ros.exploration.reports.report_page.plan import plan
+from infomap_ros.exploration.reports.report_page.scene import scene_of
+from infomap_ros.exploration.reports.report_page.sections import Section, page
+from infomap_ros.exploration.reports.report_page.surface import drawn_surface
 from infomap_ros.exploration.reports.report_page.tables import (
     as_text,
     kinds_of_rejections,
     table,
     words,
 )
+from infomap_ros.exploration.task import TaskConfig
 from infomap_ros.geometry.atomic_file import write_text
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.mapping.files.pictures import MapImage, map_from_above
@@ -87,11 +90,12 @@ def write_comparison(out: Path, folders: Mapping[str, Path]) -> None:
         raise InvalidInputError("runs", "expected at least two to compare")
     found = {name: read_folder(folder) for name, folder in folders.items()}
     runs = {name: one.run for name, one in found.items()}
+    curves = sections.charts({name: run.of(Progress) for name, run in runs.items()})
     asked = _rows(_asked(run) for run in runs.values())
     parts = [
         Section("asked", "What was asked differently", _differences(asked, runs)),
         Section("results", "Results", _table(_rows(map(_results, runs.values())), runs)),
-        Section("progress", "Progress", _curves(runs)),
+        Section("progress", "Progress", f'<div class="charts">{curves}</div>'),
         Section("figures", "Figures", _table(_rows(_numbers(one) for one in found.values()), runs)),
         Section("rejected", "Rejected candidates, by reason", _rejections(runs)),
         Section("maps", "The maps from above", _maps(found)),
@@ -127,8 +131,7 @@ def _asked(run: RecordedRun) -> dict[str, object]:
 def _results(run: RecordedRun) -> dict[str, object]:
     """What came of a run, as text."""
     progress = run.of(Progress)
-    looks = sum(motion.action == "look" and not motion.outcome for motion in run.of(Motion))
-    rows: dict[str, object] = {"views": str(max(looks, progress[-1].views if progress else 0))}
+    rows: dict[str, object] = {"views": str(run.views)}
     rows["views that brought no look"] = str(sum(not step.taken for step in run.steps))
     rows["time"] = duration(run.seconds)
     if not progress:
@@ -180,31 +183,6 @@ def _table(rows: Mapping[str, Sequence[str]], runs: Mapping[str, RecordedRun]) -
     return table(["", *(f"#{name}" for name in runs)], cells, "parameters")
 
 
-def _curves(runs: Mapping[str, RecordedRun]) -> str:
-    """What was known, how precisely and how surely, over views, meters and time."""
-    axes: list[tuple[str, Callable[[Progress], float]]] = [
-        ("views", lambda record: float(record.views)),
-        ("distance driven [m]", lambda record: record.distance),
-        ("time [s]", lambda record: record.time),
-    ]
-    values: list[tuple[str, str, bool, Callable[[Progress], float]]] = [
-        ("known", "%", False, lambda record: 100.0 * record.known_fraction),
-        ("known precisely", "%", False, lambda record: 100.0 * record.precise_fraction),
-        ("entropy left", "bit", True, lambda record: record.entropy_bits),
-        ("mean sigma", "m", True, lambda record: record.mean_sigma),
-    ]
-    charts = []
-    for label, x_of in axes:
-        for title, unit, scaled, y_of in values:
-            curves, high = [], None if scaled else 100.0
-            for name, run in runs.items():
-                progress = run.of(Progress)
-                xs, ys = [x_of(r) for r in progress], [y_of(r) for r in progress]
-                curves.append(Curve(title, unit, xs, ys, label, scaled, None, 0.0, high, name))
-            charts.append(line_chart(*curves))
-    return f'<div class="charts">{"".join(charts)}</div>'
-
-
 def _rejections(runs: Mapping[str, RecordedRun]) -> str:
     counts = [kinds_of_rejections([step.decision for step in run.steps]) for run in runs.values()]
     rows = {
@@ -230,3 +208,87 @@ def _above(map_file: Path | None) -> MapImage | None:
         with suppress(InvalidInputError):  # no surface yet
             return map_from_above(VoxelMap.load(map_file))
     return None
+
+
+_KEYS = (
+    '<ul class="keys"><li><i class="key base"></i>ways of the bases, {names}</li>'
+    '<li><i class="key camera"></i>ways of the cameras</li>'
+    '<li><i class="key dot view"></i>chosen views, with their numbers</li></ul>'
+)
+
+
+def write_team_report(
+    out: Path,
+    logs: Mapping[str, Path],
+    voxel_map: VoxelMap,
+    title: str,
+    figures: Mapping[str, object] | None = None,
+) -> None:
+    """Write the report of an exploration by several robots.
+
+    Args:
+        out: the HTML file.
+        logs: run log of each robot, by its name.
+        voxel_map: the map of all.
+        title: heading of the page.
+        figures: of the run, name -> value.
+
+    Raises:
+        RunLogError: a log is not a run log; names the line and the reason.
+        InvalidInputError: there are no logs, or the map has no surface.
+        OSError: the report cannot be written.
+    """
+    if not logs:
+        raise InvalidInputError("team report", "there are no run logs")
+    runs = {name: read_run(path) for name, path in logs.items()}
+    everything = _together(list(runs.values()))
+    above = map_from_above(voxel_map)
+    scene = scene_of(drawn_surface(voxel_map), above.cut, everything)
+    ways = plan(above, *runs.values())
+    styles = [
+        f"{'solid' if number == 0 else 'dashed'}: {html.escape(name)}"
+        for number, name in enumerate(runs)
+    ]
+    keys = _KEYS.format(names=", ".join(styles))
+    parts = [
+        Section("progress", "Coverage over views, meters and time", _curves(runs)),
+        Section("plan", "The ways of all robots", f'<div class="above">{ways}{keys}</div>'),
+        Section("task", "Task", tables.parameters_table(everything.start.task, TaskConfig)),
+        Section("figures", "Figures", tables.parameters_table(figures or {})),
+    ]
+    lead = "".join(_robot(place, *item) for place, item in enumerate(runs.items()))
+    text = page(title, sections.subtitle(everything), lead, scene, parts)
+    write_text(out, text)
+
+
+def _together(runs: list[RecordedRun]) -> RecordedRun:
+    """One run with the decisions and ways of all, one robot after the other."""
+    records: list[Record] = [runs[0].start]
+    for run in runs:
+        records += [record for record in run.records if not isinstance(record, Start)]
+    return RecordedRun(tuple(records), tuple(text for run in runs for text in run.problems))
+
+
+def _robot(place: int, name: str, run: RecordedRun) -> str:
+    """How a robot's exploration went, in one line of figures."""
+    progress = run.of(Progress)
+    tiles = [("views", str(run.views))]
+    if progress:
+        tiles += [
+            ("driven", quantity(progress[-1].distance, "m")),
+            ("known to it", percent(progress[-1].known_fraction)),
+        ]
+    tiles.append(("time", duration(run.seconds)))
+    heading = f'<h3><i class="swatch{run_class(place)}"></i>{html.escape(name)}</h3>'
+    return heading + sections.outcome(run) + sections.problems(run) + sections.tiles(tiles)
+
+
+def _curves(runs: Mapping[str, RecordedRun]) -> str:
+    """What each robot knew of the map of all, over its own views and meters, and over time."""
+    axes = {"its views" if name == "views" else name: of for name, of in sections.AXES.items()}
+    progress = {name: run.of(Progress) for name, run in runs.items()}
+    goal = next(
+        (goal for run in runs.values() if (goal := sections.goal_of(run)) is not None), None
+    )
+    drawn = sections.charts(progress, axes, [sections.KNOWN], {"known": goal})
+    return f'<div class="charts">{drawn}</div>'

@@ -3,24 +3,156 @@
 from __future__ import annotations
 
 import html
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from infomap_ros.errors import InvalidInputError
-from infomap_ros.exploration.records.log_records import Message
+from infomap_ros.exploration.records.log_records import Decision, Message, Motion, Start
 from infomap_ros.exploration.records.recorded_run import RecordedRun, read_run
 from infomap_ros.exploration.reports.report_page import sections, tables
-from infomap_ros.exploration.reports.report_page.axes import MINUS
-from infomap_ros.exploration.reports.report_page.page import Section, page
+from infomap_ros.exploration.reports.report_page.axes import MINUS, duration, percent
 from infomap_ros.exploration.reports.report_page.plan import plan
 from infomap_ros.exploration.reports.report_page.scene import add_camera_path, scene_of
+from infomap_ros.exploration.reports.report_page.sections import Section, page
 from infomap_ros.exploration.reports.report_page.surface import drawn_surface
-from infomap_ros.exploration.reports.report_page.time_line import time_line
 from infomap_ros.exploration.task import TaskConfig
 from infomap_ros.geometry.atomic_file import write_text
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.mapping.files.pictures import MapImage, map_from_above
+
+CHOOSE, ARM, DRIVE, LOOK = "choose", "arm", "drive", "look"
+ACTIVITIES = (CHOOSE, ARM, DRIVE, LOOK)
+"""Kinds of activities; to choose includes to wait until what was seen is in the map."""
+
+_OF_MOTIONS = {"look": LOOK, "last look": LOOK, "arm": ARM}
+
+
+@dataclass(frozen=True)
+class Activity:
+    """A stretch of a run.
+
+    Attributes:
+        kind: one of `ACTIVITIES`.
+        step: number of the decision that it belongs to, from 0; None before the first.
+        begin: since the start of the run [s].
+        end: likewise [s].
+        clock_begin: of the robot [s]; NaN where the log does not tell.
+        clock_end: likewise [s].
+        problem: why it failed; empty where it did not.
+    """
+
+    kind: str
+    step: int | None
+    begin: float
+    end: float
+    clock_begin: float
+    clock_end: float
+    problem: str = ""
+
+    @property
+    def seconds(self) -> float:
+        """How long it took [s]."""
+        return max(0.0, self.end - self.begin)
+
+    @property
+    def clock_seconds(self) -> float:
+        """How long it took by the robot's clock [s]; NaN where the log does not tell."""
+        return max(self.clock_end - self.clock_begin, 0.0)
+
+
+def activities(run: RecordedRun) -> list[Activity]:
+    """Everything that the robot did, in its order, without gaps but where a run was continued.
+
+    The log tells when a choice was made and when a motion ended; each has lasted since the one
+    before.
+    """
+    found: list[Activity] = []
+    step: int | None = None
+    before: Start | Decision | Motion = run.of(Start)[0]
+    for record in run.records:
+        if isinstance(record, Decision):
+            kind, problem, step = CHOOSE, "", 0 if step is None else step + 1
+        elif isinstance(record, Motion):
+            kind, problem = _OF_MOTIONS.get(record.action, DRIVE), record.outcome
+        elif isinstance(record, Start):
+            before = record
+            continue
+        else:
+            continue
+        times = before.time, record.time, before.clock, record.clock
+        found.append(Activity(kind, step, *times, problem))
+        before = record
+    return found
+
+
+_WORDS = {
+    "choose": "choosing",
+    "arm": "moving the arm",
+    "drive": "driving",
+    "look": "looking",
+}
+_ALIKE = 0.02  # clocks that differ by less than this share are shown as one
+_Seconds = Callable[[Activity], float]
+
+
+def time_line(run: RecordedRun) -> str:
+    """Bars of what the robot did one after the other, and a table of sums.
+
+    Args:
+        run: whose log tells when each choice was made and when each motion ended.
+
+    Returns:
+        HTML; empty where the log tells of no time.
+    """
+    done = activities(run)
+    wall = sum(each.seconds for each in done)
+    if not wall > 0.0:
+        return ""
+    clocks: list[tuple[str, _Seconds]] = [("time", lambda each: each.seconds)]
+    robot = sum(each.clock_seconds for each in done)
+    if math.isfinite(robot) and robot > 0.0 and abs(robot - wall) > _ALIKE * wall:
+        name = "simulated time" if run.start.world else "robot's time"
+        clocks = [("wall time", clocks[0][1]), (name, lambda each: each.clock_seconds)]
+    bars = "".join(_bar(name, seconds, done) for name, seconds in clocks)
+    return f'<div class="timeline">{bars}</div>{_table(clocks, done)}'
+
+
+def _bar(name: str, seconds: _Seconds, done: Sequence[Activity]) -> str:
+    total = duration(sum(map(seconds, done)))
+    parts = "".join(_part(each, seconds(each)) for each in done if seconds(each) > 0.0)
+    label = html.escape(f"{name}, {total}")
+    return f'<p>{label}</p><div class="lane" role="img" aria-label="{label}">{parts}</div>'
+
+
+def _part(each: Activity, seconds: float) -> str:
+    view = "before the first view" if each.step is None else f"view {each.step + 1}"
+    text = f"{view}: {_WORDS[each.kind]}, {duration(seconds)}"
+    text += f" ({each.problem})" if each.problem else ""
+    step = "" if each.step is None else f' data-step="{each.step}"'
+    failed = " failed" if each.problem else ""
+    return (
+        f'<i class="{each.kind}{failed}"{step} style="flex-grow:{seconds:.4g}" '
+        f'title="{html.escape(text)}"></i>'
+    )
+
+
+def _table(clocks: Sequence[tuple[str, _Seconds]], done: Sequence[Activity]) -> str:
+    heads = "".join(f'<th class="number">{html.escape(name)}</th>' for name, _ in clocks)
+    rows = "".join(_row(kind, clocks, done) for kind in ACTIVITIES)
+    return f"<table><thead><tr><th></th>{heads}</tr></thead><tbody>{rows}</tbody></table>"
+
+
+def _row(kind: str, clocks: Sequence[tuple[str, _Seconds]], done: Sequence[Activity]) -> str:
+    cells = ""
+    for _, seconds in clocks:
+        spent = sum(seconds(each) for each in done if each.kind == kind)
+        share = spent / sum(map(seconds, done))
+        cells += f'<td class="number">{duration(spent)}, {percent(share)}</td>'
+    return f'<tr><td><i class="activity {kind}"></i>{_WORDS[kind]}</td>{cells}</tr>'
+
 
 Pictures = Sequence[tuple[Path, str]]
 """PNG files with their captions."""
@@ -77,7 +209,7 @@ def write_report(
         Section("pictures", "Pictures", sections.pictures(pictures)),
     ]
     lead += sections.run_tiles(run)
-    _write(out, page(title, sections.subtitle(run), lead, scene, parts))
+    write_text(out, page(title, sections.subtitle(run), lead, scene, parts))
     return run
 
 
@@ -116,7 +248,7 @@ def write_map_report(
         Section("pictures", "Pictures", sections.pictures(pictures)),
     ]
     lead = _paragraph(introduction) + sections.map_tiles(opened)
-    _write(out, page(title, "", lead, scene, parts))
+    write_text(out, page(title, "", lead, scene, parts))
 
 
 def _details(run: RecordedRun, figures: Mapping[str, object]) -> list[Section]:
@@ -169,7 +301,3 @@ def _opened(voxel_map: VoxelMap | str | Path) -> VoxelMap:
 
 def _paragraph(text: str) -> str:
     return f"<p>{html.escape(text)}</p>" if text else ""
-
-
-def _write(out: str | Path, text: str) -> None:
-    write_text(out, text)

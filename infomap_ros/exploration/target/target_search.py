@@ -12,17 +12,16 @@ import math
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from infomap_ros.exploration.progress import MapProgress
-from infomap_ros.exploration.robot import Choice, RobotState
+from infomap_ros.exploration.robot import Choice, MapProgress, RobotState
 from infomap_ros.exploration.view_planner_config import ViewPlannerConfig
 from infomap_ros.geometry import PinholeCamera
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.localization.target.search import TargetSearch, TargetSearchConfig
 from infomap_ros.mapping import VoxelMap
-from infomap_ros.motion import RobotModel
-from infomap_ros.motion.arm.camera_heights import random_postures
-from infomap_ros.motion.collision.clear_start import ClearStart
+from infomap_ros.motion.base.standing_ground import ClearStart
 from infomap_ros.motion.reaching import WholeBodyReach
+from infomap_ros.motion.robot.robot_model import RobotModel
+from infomap_ros.motion.robot.solid_extent import random_postures
 from infomap_ros.motion.route import Route
 
 _NO_MAP = MapProgress(0.0, math.nan, math.nan, 0, 0, 0.0)
@@ -102,8 +101,9 @@ class TargetSearchPlanner:
         axes = self._cameras[:, :3, 2]
         off = np.abs(np.arcsin(np.clip(axes[:, 2], -1, 1)) - np.arcsin(np.clip(axis[2], -1, 1)))
         turns = _wrapped(np.arctan2(axis[1], axis[0]) - np.arctan2(axes[:, 1], axes[:, 0]))
-        joints = np.abs(self._postures - self.robot.arm.positions(state.joints)).max(axis=1)
+        away = np.abs(self._postures - self.robot.arm.positions(state.joints))
         small = np.abs(turns) < 0.1
+        joints = away.max(axis=1, initial=0.0)
         cost = 10.0 * np.abs(off) + joints + np.where(small, 0.0, _BASE_TURN + np.abs(turns))
         best = np.argsort(cost)[:_TRIES]
         turned = Rotation.from_rotvec(np.outer(np.where(small, 0.0, turns)[best], [0.0, 0.0, 1.0]))

@@ -14,20 +14,19 @@ from collections.abc import Collection
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
 from infomap_ros.errors import PoseUnavailableError, RobotModelError
-from infomap_ros.exploration.team.bodies_in_scan import (
+from infomap_ros.exploration.team.teammate_places import (
     BodyInScan,
+    TeammatePlaces,
+    TeammatePlacesConfig,
     cylinder_about,
     largest_variance,
-    on_bodies,
 )
-from infomap_ros.exploration.team.teammate_places import TeammatePlaces, TeammatePlacesConfig
 from infomap_ros.geometry import PlacedSolid, PoseRecord, invert_transform
 from infomap_ros.geometry.config import setting
 from infomap_ros.mapping.scans.body import BodyFilterConfig
-from infomap_ros.motion import RobotModel
+from infomap_ros.motion.robot.robot_model import RobotModel
 from infomap_ros.team.agents import Agent
 
 _MOST_MARGIN = 1.0  # [m]; solids that would have to grow by more are replaced by the cylinder
@@ -54,8 +53,8 @@ class TeamBodiesConfig(TeammatePlacesConfig):
     )
 
 
-class TeamBodies:
-    """Knows where teammates were, for the scans of one robot.
+class TeamBodies(TeammatePlaces):
+    """Knows also what teammates' bodies are, for the scans of one robot.
 
     Args:
         config: how they are found.
@@ -65,15 +64,12 @@ class TeamBodies:
     def __init__(
         self, config: TeamBodiesConfig | None = None, body: BodyFilterConfig | None = None
     ) -> None:
-        self.config, self._filter = config or TeamBodiesConfig(), body or BodyFilterConfig()
-        self._places = TeammatePlaces(self.config, self._filter)
+        settings = config or TeamBodiesConfig()
+        super().__init__(settings, body)
+        self._wait = settings.wait * _NANOSECONDS
         self._models: dict[int, RobotModel] = {}
         self._before: dict[int, Agent] = {}
         self._arrived: set[int] = set()
-
-    def hear(self, agent: Agent) -> None:
-        """A teammate has told where it is."""
-        self._places.hear(agent)
 
     def describe(self, robot: int, model: RobotModel) -> None:
         """What a teammate's body is: with its base frame, as it tells its pose."""
@@ -83,16 +79,13 @@ class TeamBodies:
         """Whether a teammate's solids are known."""
         return robot in self._models
 
-    @property
-    def robots(self) -> Collection[int]:
-        """The robots that have been heard."""
-        return self._places.agents.keys()
-
-    def keep(self, robots: Collection[int]) -> None:
-        """Forget all robots but these."""
-        self._before |= {agent.robot: agent for agent in self._places.keep(robots)}
+    def keep(self, robots: Collection[int]) -> list[Agent]:
+        """Forget all robots but these; returns what the forgotten ones told last."""
+        gone = super().keep(robots)
+        self._before |= {agent.robot: agent for agent in gone}
         self._models = {robot: self._models[robot] for robot in self._models if robot in robots}
         self._arrived &= set(robots)
+        return gone
 
     def take_arrivals(self) -> list[BodyInScan]:
         """Bodies of teammates that are heard for the first time, or again, in the map's frame.
@@ -101,7 +94,7 @@ class TeamBodies:
         when it was heard last counts, too.
         """
         bodies = []
-        for robot, agent in self._places.agents.items():
+        for robot, agent in self.agents.items():
             if robot in self._arrived or robot not in self._models:
                 continue
             if (body := self._in_map(agent)).margin <= _SURE_MARGIN:
@@ -122,11 +115,11 @@ class TeamBodies:
         Raises:
             PoseUnavailableError: it may still be told where one was at that time.
         """
-        if newest - stamp >= self.config.wait * _NANOSECONDS:
+        if newest - stamp >= self._wait:
             return
-        for robot in self._places.agents.keys() & set(robots):
+        for robot in self.agents.keys() & set(robots):
             try:
-                self._places.told_at(robot, stamp)
+                self.told_at(robot, stamp)
             except PoseUnavailableError as error:
                 if error.may_arrive:
                     text, reason = f"robot {robot}: {error}", "place of a teammate"
@@ -138,22 +131,12 @@ class TeamBodies:
         Args:
             camera: pose of the optical frame in the map, at the scan's stamp.
         """
-        return [self._placed(agent, camera) for agent in self._places.agents.values()]
-
-    def about(self, stamp: int) -> list[PlacedSolid]:
-        """Cylinders about teammates at a time [ns]; see `TeammatePlaces.about`."""
-        return self._places.about(stamp)
-
-    def mask(
-        self, points: ArrayLike, covariances: ArrayLike | None, camera: PoseRecord
-    ) -> NDArray[np.bool_]:
-        """Mark the points of a scan that may lie on a teammate; see `on_bodies`."""
-        return on_bodies(points, covariances, self.bodies_in(camera), self._filter)
+        return [self._placed(agent, camera) for agent in self.agents.values()]
 
     def _placed(self, agent: Agent, camera: PoseRecord) -> BodyInScan:
-        place = self._places.place(agent.robot, camera.stamp)
+        place = self.place(agent.robot, camera.stamp)
         sigma = self._sigma(agent, place.pose, camera)
-        margin = self._filter.margin + place.growth + self._filter.sigmas * sigma
+        margin = self._body.margin + place.growth + self._body.sigmas * sigma
         T_camera_base = invert_transform(camera.transform) @ place.pose.transform
         solids = self._solids(agent.robot, place.joints) if margin <= _MOST_MARGIN else []
         if not solids:
@@ -164,7 +147,7 @@ class TeamBodies:
     def _in_map(self, agent: Agent) -> BodyInScan:
         """A teammate's body in the map as it told it, the frame of the map in place of a camera."""
         pose = PoseRecord(agent.stamp, "map", agent.T_map_base, agent.covariance)
-        margin = self._filter.margin + self._filter.sigmas * self._sigma(
+        margin = self._body.margin + self._body.sigmas * self._sigma(
             agent, pose, PoseRecord(agent.stamp, "map", np.eye(4))
         )
         placed = [
@@ -188,6 +171,6 @@ class TeamBodies:
         """Bound of the standard deviation of where a body is for the camera [m]."""
         distance = float(np.linalg.norm(pose.transform[:3, 3] - camera.transform[:3, 3]))
         arm = np.linalg.norm(agent.T_map_camera[:3, 3] - agent.T_map_base[:3, 3])
-        theirs = self._places.variance(pose, agent.radius + float(arm))
+        theirs = self.variance(pose, agent.radius + float(arm))
         own = 0.0 if camera.covariance is None else largest_variance(camera.covariance, distance)
         return float(np.sqrt(theirs + own))

@@ -16,8 +16,7 @@ import numpy as np
 
 from infomap_ros.errors import TeammatesBusyError
 from infomap_ros.exploration.robot import Choice, FailedView, KnownPlace, RobotState
-from infomap_ros.exploration.team.team_space import teammate_of
-from infomap_ros.exploration.team.teamwork import Teamwork
+from infomap_ros.exploration.team.teamwork import Teamwork, teammate_of
 from infomap_ros.exploration.view_planner import Surrounding, ViewPlanner
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap
@@ -103,10 +102,6 @@ class TeamPlanner:
         """The rest of the way to a view, around the others."""
         obstacles = self._team.obstacles(self._clock(), state, self.planner.robot)
         return self.planner.plan_arm(voxel_map, state, T_map_camera, obstacles)
-
-    def route_problem(self, voxel_map: VoxelMap, state: RobotState) -> str:
-        """Why what is left of the route planned last is blocked; empty where it is free."""
-        return self.planner.route_problem(voxel_map, state)
 
     def failed(self, view: FailedView) -> None:
         """Note that a view brought nothing; this robot is not heading for it any more."""

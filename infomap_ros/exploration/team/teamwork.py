@@ -13,12 +13,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from infomap_ros.exploration.planar import spaced
 from infomap_ros.exploration.robot import RobotState
-from infomap_ros.exploration.team.team_space import bodies_in_the_way, teammate_of
 from infomap_ros.geometry import PinholeCamera
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.motion import RobotModel
-from infomap_ros.motion.collision.obstacles import Obstacle
+from infomap_ros.motion.keep_out import Obstacle
+from infomap_ros.motion.robot.robot_model import RobotModel
 from infomap_ros.motion.robot.solid_extent import body_extent
 from infomap_ros.team.agent_board import AgentBoard
 from infomap_ros.team.agent_text import agent_to_text
@@ -45,7 +45,7 @@ class Presence:
         max_range: how far it sees [m].
         doing: what it is doing, in words.
         description: full name of the topic of its robot_description; empty without one.
-        description_hash: of the text on it, see `team.agents.hash_of_description`.
+        description_hash: of the text on it, see `hash_of_description`.
     """
 
     stamp: int
@@ -261,3 +261,50 @@ def _has_moved(before: Presence, now: Presence) -> bool:
     joints = [abs(q - first.joints.get(name, np.inf)) for name, q in second.joints.items()]
     moved = np.linalg.norm(change[:3, 3]) > _MOVED or turn > _TURNED
     return bool(moved or max(joints, default=0.0) > _TURNED)
+
+
+_LEAST_SHARE = 0.5  # of a body's radius, however near one stands to it
+
+
+def teammate_of(agent: Agent) -> Teammate:
+    """A robot as the choice of a view sees it: the middle of its body, and what it will see."""
+    base = agent.T_map_base
+    middle = base[:3, 3] + 0.5 * (agent.bottom + agent.top) * base[:3, 2]
+    stand = None
+    if agent.goal is not None and len(agent.way):
+        stand = np.array([*agent.way[-1, :2], middle[2]])
+    return Teammate(middle, agent.goal, agent.max_range, agent.camera, agent.radius, stand)
+
+
+def bodies_in_the_way(
+    agent: Agent, goes_on: bool, own_place: FloatArray, own_radius: float, config: AgentsConfig
+) -> list[Obstacle]:
+    """A robot's body, and the rest of the way that it has told, as upright cylinders.
+
+    They are grown by the clearance and by three standard deviations of its position; less where
+    this robot stands within that already, as it must be able to leave.
+
+    Args:
+        agent: as it told last.
+        goes_on: whether it was heard lately, so that its way counts.
+        own_place: x and y of this robot's base, shape (2,) [m, map].
+        own_radius: of this robot's body about its base [m].
+        config: of the clearance.
+    """
+    here = agent.T_map_base[:2, 3]
+    places = [here]
+    if goes_on and agent.goal is not None and len(agent.way):
+        way = agent.way[:, :2]
+        rest = way[int(np.linalg.norm(way - here, axis=1).argmin()) :]
+        places += list(spaced(rest, 0.5 * max(agent.radius, 0.1)))
+    bottom, top = agent.T_map_base[2, 3] + agent.bottom, agent.T_map_base[2, 3] + agent.top
+    obstacles = []
+    for number, place in enumerate(places):
+        room = float(np.linalg.norm(place - own_place)) - own_radius
+        least = _LEAST_SHARE * agent.radius if number == 0 else 0.0
+        radius = max(min(agent.reach + config.clearance, room), least)
+        if radius > 0.0:
+            x, y = float(place[0]), float(place[1])
+            name = f"robot {agent.robot}" if number == 0 else f"the way of robot {agent.robot}"
+            obstacles.append(Obstacle(x, y, radius, bottom, max(top, bottom + 0.1), name))
+    return obstacles

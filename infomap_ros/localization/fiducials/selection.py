@@ -13,15 +13,184 @@ from infomap_ros.errors import ConfigError, InvalidInputError
 from infomap_ros.geometry import check_transform, transform_points
 from infomap_ros.geometry.config import check_config, setting
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.localization.fiducials.evaluation import (
-    certainty,
-    depth_contrast,
-    range_certainty,
-    spread_penalty,
-    visual_contrast,
-)
 from infomap_ros.localization.fiducials.range_view import RangeView, check_pixels
 from infomap_ros.mapping import VoxelMap
+
+# How good a fiducial a pixel would make: the terms of eqs. (19) and (20).
+#
+# Sujan and Dubowsky (2005), DOI 10.1177/0278364905051774: ``F.E.F. = f(P) + g(C) + h(H)``,
+# certainty in the map, visual contrast and depth contrast, less a penalty for being near another
+# fiducial. Each term is a function of its own here; `selection` adds them up.
+
+_LEAST_FALL = 0.01  # of the certainty from shell to shell
+_LEAST_GRAY = 1.0  # keeps the contrast of black windows finite [gray levels]
+
+
+def certainty(voxel_map: VoxelMap, points: FloatArray, largest_radius: int) -> FloatArray:
+    """Certainty in the map, ``f = P / r``.
+
+    P is the certainty that the voxel at the point is occupied, ``2 p - 1`` of its probability p, so
+    that an unknown or free one has none; r is the number of shells about it over which the mean
+    certainty ``|2 p - 1|`` keeps falling, at least 1: well known surroundings make it small.
+
+    Args:
+        voxel_map: the map.
+        points: map frame, shape (N, 3) [m]; NaN gives 0.
+        largest_radius: shells that are looked at, one voxel thick each.
+
+    Returns:
+        Values in [0, 1], shape (N,).
+    """
+    known = np.isfinite(points).all(axis=1)
+    values = np.zeros(len(points))
+    if not known.any():
+        return values
+    reach = np.arange(-largest_radius, largest_radius + 1)
+    offsets = np.stack(np.meshgrid(reach, reach, reach, indexing="ij"), axis=-1).reshape(-1, 3)
+    shell = np.abs(offsets).max(axis=1)
+    places = points[known][:, None] + offsets * voxel_map.config.voxel_size
+    sure = 2.0 * voxel_map.probability(places.reshape(-1, 3)).reshape(-1, len(offsets)) - 1.0
+    means = np.stack(
+        [np.abs(sure[:, shell == radius]).mean(axis=1) for radius in range(largest_radius + 1)]
+    )
+    falling = np.cumprod(np.diff(means, axis=0) < -_LEAST_FALL, axis=0).sum(axis=0)
+    values[known] = np.maximum(sure[:, shell == 0][:, 0], 0.0) / np.maximum(falling, 1)
+    return values
+
+
+def range_certainty(inverse_depths: FloatArray, sigmas: FloatArray, half: float) -> FloatArray:
+    """Certainty of a point that is in no map yet, from the range itself.
+
+    Args:
+        inverse_depths: shape (N,) [1/m]; NaN gives 0.
+        sigmas: their standard deviations, shape (N,) [1/m].
+        half: relative standard deviation of the range at which the certainty is one half.
+
+    Returns:
+        Values in [0, 1], shape (N,).
+    """
+    usable = inverse_depths > 0.0
+    relative = np.divide(sigmas, inverse_depths, out=np.full_like(sigmas, np.inf), where=usable)
+    return np.asarray(1.0 / (1.0 + np.square(relative / half)))
+
+
+def visual_contrast(image: NDArray[np.uint8], pixels: ArrayLike, largest_window: int) -> FloatArray:
+    """Visual contrast ``g = C w``, with ``C = |I - I_w| / I_w`` (20).
+
+    I is the intensity at the pixel (3 x 3 mean), I_w the mean of a window of side w, and w the
+    largest window before the contrast falls as the window grows. The printed C has a sign; dark
+    points are as good as bright ones, so the magnitude is meant.
+
+    Args:
+        image: gray, shape (H, W).
+        pixels: shape (N, 2) [px].
+        largest_window: windows of 5, 7, ... up to this side are tried [px].
+
+    Returns:
+        Values [px], shape (N,).
+    """
+    sums = cv2.integral(image)
+    corners = np.rint(np.asarray(pixels, dtype=np.float64)).astype(np.int64).reshape(-1, 2)
+    middle = _window_mean(sums, corners, 1)
+    windows = np.arange(5, largest_window + 1, 2)
+    around = np.stack([_window_mean(sums, corners, int(side) // 2) for side in windows])
+    contrasts = np.abs(middle - around) / np.maximum(around, _LEAST_GRAY)
+    best = np.cumprod(np.diff(contrasts, axis=0) >= 0.0, axis=0).sum(axis=0)
+    rows = np.arange(len(corners))
+    return np.asarray(contrasts[best, rows] * windows[best])
+
+
+def _window_mean(sums: NDArray[np.int32], corners: NDArray[np.int64], reach: int) -> FloatArray:
+    """Mean of the window about each pixel, cut at the image's border, shape (N,)."""
+    limit = np.array([sums.shape[1] - 1, sums.shape[0] - 1])
+    low = np.clip(corners - reach, 0, limit)
+    high = np.clip(corners + reach + 1, 0, limit)
+    total = sums[high[:, 1], high[:, 0]] - sums[low[:, 1], high[:, 0]]
+    total = total - sums[high[:, 1], low[:, 0]] + sums[low[:, 1], low[:, 0]]
+    return np.asarray(total / np.maximum(np.prod(high - low, axis=1), 1))
+
+
+def depth_contrast(
+    range_image: NDArray[np.float32],
+    depth_sigmas: NDArray[np.float32],
+    pixels: ArrayLike,
+    windows: tuple[int, ...],
+) -> FloatArray:
+    """Depth contrast ``h = H w``: how finely the surface is shaped about a pixel.
+
+    H is the root mean square spatial frequency [1/px] of the relief, that is the depth less a plane
+    through the window, over the depth; by Parseval's theorem it follows from the relief's and its
+    derivative's power without a transform. It counts by the share of the relief's power that range
+    noise does not explain. w is the largest window before H rises as the window grows.
+
+    Args:
+        range_image: depth, shape (H, W) [m]; NaN = none.
+        depth_sigmas: their standard deviations, shape (H, W) [m].
+        pixels: shape (N, 2) [px].
+        windows: sides that are tried, odd, growing [px].
+
+    Returns:
+        Values, shape (N,); 0 where less than half of the window was measured.
+
+    Raises:
+        InvalidInputError: a window is even or they do not grow.
+    """
+    if any(side % 2 == 0 for side in windows) or any(np.diff(windows) <= 0):
+        raise InvalidInputError("windows", f"{windows}, expected growing odd numbers")
+    places = np.rint(np.asarray(pixels, dtype=np.float64)).astype(np.int64).reshape(-1, 2)
+    tried = [_relief_frequency(range_image, depth_sigmas, places, side // 2) for side in windows]
+    frequency = np.stack([pair[0] for pair in tried])
+    real = np.stack([pair[1] for pair in tried])
+    best = np.cumprod(np.diff(frequency, axis=0) <= 0.0, axis=0).sum(axis=0)
+    rows = np.arange(len(places))
+    return np.asarray(frequency[best, rows] * real[best, rows] * np.asarray(windows)[best])
+
+
+def _relief_frequency(
+    depth: NDArray[np.float32], sigmas: NDArray[np.float32], places: NDArray[np.int64], reach: int
+) -> tuple[FloatArray, FloatArray]:
+    """Frequency of the relief [1/px] and the share of it that is not noise, shape (N,) each."""
+    height, width = depth.shape
+    offsets = np.arange(-reach, reach + 1)
+    rows = np.clip(places[:, 1, None] + offsets, 0, height - 1)[:, :, None]
+    columns = np.clip(places[:, 0, None] + offsets, 0, width - 1)[:, None, :]
+    z = depth[rows, columns].astype(np.float64)
+    noise = np.square(sigmas[rows, columns].astype(np.float64))
+    measured = np.isfinite(z)
+    count = np.maximum(measured.sum(axis=(1, 2)), 1)
+    mean = np.where(measured, z, 0.0).sum(axis=(1, 2)) / count
+    relief = np.where(measured, z - mean[:, None, None], 0.0)
+    spread = float(np.mean(offsets**2))
+    for axis in (1, 2):  # the plane through a window, whose axes are orthogonal
+        along = offsets.reshape((1, -1, 1) if axis == 1 else (1, 1, -1))
+        slope = (relief * along).sum(axis=(1, 2)) / (count * spread)
+        relief = np.where(measured, relief - slope[:, None, None] * along, 0.0)
+    power = np.square(relief).sum(axis=(1, 2)) / count
+    steps = sum(np.square(np.diff(relief, axis=axis)).sum(axis=(1, 2)) for axis in (1, 2)) / count
+    noise_power = np.where(measured, noise, 0.0).sum(axis=(1, 2)) / count
+    frequency = np.sqrt(steps / np.maximum(power, 1e-12)) / (2.0 * np.pi)
+    enough = count > 0.5 * measured[0].size
+    return np.where(enough, frequency, 0.0), np.maximum(
+        1.0 - noise_power / np.maximum(power, 1e-12), 0.0
+    )
+
+
+def spread_penalty(pixels: FloatArray, taken: FloatArray, distance: float) -> FloatArray:
+    """Penalty for being near other fiducials: 1 on top of one, ``exp(-(r / distance)^2)`` at r.
+
+    Args:
+        pixels: shape (N, 2) [px].
+        taken: pixels of the other fiducials, shape (M, 2) [px].
+        distance: scale of the penalty [px].
+
+    Returns:
+        The largest penalty, in [0, 1], shape (N,).
+    """
+    if len(taken) == 0:
+        return np.zeros(len(pixels))
+    squared = np.square(pixels[:, None] - taken[None]).sum(axis=2).min(axis=1)
+    return np.asarray(np.exp(-squared / distance**2))
+
 
 # Of the mean gradient product, where OpenCV has the sum over 49 pixels of Sobel gradients (8 times
 # the derivative), divided by 4 * 7 * 255.

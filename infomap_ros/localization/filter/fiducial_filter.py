@@ -23,10 +23,13 @@ from infomap_ros.localization.fiducials.observations import FiducialObservations
 from infomap_ros.localization.filter.config import FiducialFilterConfig
 from infomap_ros.localization.filter.history import FiducialHistory
 from infomap_ros.localization.filter.hypothesis_choice import CONTESTED, Image, explain
-from infomap_ros.localization.filter.invariant_state import FIXED_BLOCKS, InvariantState
-from infomap_ros.localization.filter.known_values import known_fiducials, known_poses
+from infomap_ros.localization.filter.invariant_state import (
+    CALIBRATION,
+    FIXED_BLOCKS,
+    InvariantState,
+)
+from infomap_ros.localization.filter.lie import renormalized, skews
 from infomap_ros.localization.filter.motion_prior import MotionPrior
-from infomap_ros.localization.filter.moved_state import move_state
 from infomap_ros.localization.filter.pose_errors import (
     invariant_difference,
     invariant_from_pose,
@@ -38,6 +41,81 @@ from infomap_ros.localization.filter.pose_hypothesis import Hypothesis
 from infomap_ros.localization.filter.records import Fiducials, FilterUpdate, KeptPoses
 from infomap_ros.localization.filter.shared_errors import CLONES, SharedErrors
 from infomap_ros.localization.filter.sight import Measured
+
+# A map whose frame is put elsewhere: all values and errors of the filter move with it.
+#
+# With ``X_new = T X_old`` and an error of T itself, all errors (xi, theta) of the invariant state
+# become ``Ad(T) (xi, theta)`` plus that of T, which all share:
+#
+#     theta' = R theta + theta_T        xi' = R xi + skew(t) R theta + xi_T
+#
+# Nothing is linearized but the covariance of T.
+
+
+def move_state(state: InvariantState, T_new_old: FloatArray, covariance: FloatArray) -> None:
+    """Put the frame of a map elsewhere.
+
+    Args:
+        state: is changed.
+        T_new_old: the frame as it was, in the new one, shape (4, 4).
+        covariance: of that, in the new frame, shape (6, 6); zero for a mere change of names.
+    """
+    turn, shift = T_new_old[:3, :3], T_new_old[:3, 3]
+    over = invariant_from_pose(T_new_old[None])[0]
+    shared = _sharing(state) @ over @ covariance @ over.T @ _sharing(state).T
+    once = _moved_errors(state, T_new_old, state.P)
+    state.P[:] = _moved_errors(state, T_new_old, once.T) + shared
+    state.P[:] = 0.5 * (state.P + state.P.T)
+    state.considered[:] = _moved_errors(state, T_new_old, state.considered)
+    state.T_map_camera = renormalized(T_new_old @ state.T_map_camera)
+    state.positions = state.positions @ turn.T + shift
+    state.kept = T_new_old @ state.kept
+
+
+def _moved_errors(state: InvariantState, T_new_old: FloatArray, errors: FloatArray) -> FloatArray:
+    """Errors in the new frame, shape (n, m), of columns of errors in the old one, (n, m)."""
+    turn, lever = T_new_old[:3, :3], skews(T_new_old[:3, 3])
+    blocks = errors.reshape(-1, 3, errors.shape[1])
+    moved = np.asarray((turn @ blocks).reshape(errors.shape))
+    moved[CALIBRATION] = errors[CALIBRATION]
+    theta = moved[3:6].copy()
+    moved[:3] += lever @ theta
+    for rows in state.fiducial_rows(slice(None)):
+        moved[rows] += lever @ theta
+    for rows in np.vstack([state.kept_rows(), state.clone_rows()]):
+        moved[rows[:3]] += lever @ moved[rows[3:]]
+    return moved
+
+
+def _sharing(state: InvariantState) -> FloatArray:
+    """How an error (xi, theta) of everything enters all errors, shape (n, 6)."""
+    over = np.zeros((len(state.P), 6))
+    over[:6] = np.eye(6)
+    over[state.fiducial_rows(slice(None)).ravel(), :3] = np.tile(np.eye(3), (len(state.ids), 1))
+    for poses in (state.kept_rows(), state.clone_rows()):
+        over[poses.ravel()] = np.tile(np.eye(6), (len(poses), 1))
+    return over
+
+
+def known_poses(state: InvariantState) -> KeptPoses:
+    """The kept poses of a state."""
+    rows = state.kept_rows()
+    errors = state.covariance(rows[:, :, None], rows[:, None, :])
+    covariances = pose_covariances(state.kept, errors)
+    return KeptPoses(state.stamps.copy(), state.kept.copy(), covariances)
+
+
+def known_fiducials(state: InvariantState) -> Fiducials:
+    """The fiducials of a state."""
+    rows = state.fiducial_rows(slice(None))
+    over = np.zeros((len(rows), 3, 6))
+    over[:, :, :3] = np.eye(3)
+    over[:, :, 3:] = -skews(state.positions)
+    rows = np.hstack([rows, np.broadcast_to(np.arange(3, 6), rows.shape)])
+    errors = state.covariance(rows[:, :, None], rows[:, None, :])
+    covariances = over @ errors @ over.transpose(0, 2, 1)
+    return Fiducials(state.ids.copy(), state.positions.copy(), covariances)
+
 
 _REST = MotionPrior(np.eye(4), np.zeros((6, 6)))
 
@@ -268,7 +346,7 @@ class FiducialFilter:
         self._state.remove_kept(np.isin(self._state.stamps, np.asarray(stamps, np.int64)))
 
     def move(self, T_new_old: FloatArray, covariance: FloatArray) -> None:
-        """Put the map's frame elsewhere; see `moved_state.move_state`."""
+        """Put the map's frame elsewhere; see `move_state`."""
         move_state(self._state, T_new_old, covariance)
 
     def fiducials(self) -> Fiducials:

@@ -7,16 +7,18 @@ those whose place is known tie the pose to the map, others tie the poses of the 
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import ClassVar
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from infomap_ros.geometry import StereoRig, check_covariance, check_transform, float_array
+from infomap_ros.geometry.config import check_config, setting
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.localization.dead_reckoning import DeadReckoningConfig
 from infomap_ros.localization.prediction import kernels
-from infomap_ros.localization.prediction.config import ErrorPredictionConfig
-from infomap_ros.localization.prediction.unseen import unseen_points
 from infomap_ros.localization.prediction.ways import (
     FLOOR,
     Ways,
@@ -25,6 +27,88 @@ from infomap_ros.localization.prediction.ways import (
     shared_variance,
 )
 from infomap_ros.mapping import VoxelMap
+
+# Fiducials where nothing is known yet: a camera that looks there will find some.
+#
+# What it will find is taken to be like what it knows: the known fiducials about a place, turned
+# about the vertical, stand for those in directions that nobody has looked at. Where the map knows
+# that there is nothing, or what there is, none are assumed.
+
+_TURNS = 6  # of the known fiducials about the vertical
+
+
+def unseen_points(
+    place: FloatArray, known: FloatArray, voxel_map: VoxelMap, reach: float, count: int
+) -> FloatArray:
+    """Points that stand for the fiducials of unknown space about a place.
+
+    Args:
+        place: shape (3,) [m, map].
+        known: positions of the known fiducials, shape (N, 3) [m, map].
+        voxel_map: whose unknown voxels count.
+        reach: fiducials farther away tell nothing of this place [m].
+        count: at most so many.
+
+    Returns:
+        Shape (P, 3) [m, map].
+    """
+    around = known - place
+    around = around[np.linalg.norm(around, axis=1) < reach]
+    if not len(around) or not count:
+        return np.zeros((0, 3))
+    rng = np.random.default_rng(0)  # any will do; the same map gives the same ones
+    some = around[rng.choice(len(around), min(len(around), max(count // _TURNS, 1)), replace=False)]
+    angles = 2.0 * np.pi * (np.arange(_TURNS)[:, None] + rng.random(len(some))) / _TURNS
+    turned = Rotation.from_rotvec(np.outer(angles.ravel(), [0.0, 0.0, 1.0]))
+    points = place + turned.apply(np.tile(some, (_TURNS, 1)))
+    is_unknown: NDArray[np.bool_] = ~voxel_map.is_known(points)
+    return np.asarray(points[is_unknown])
+
+
+@dataclass(frozen=True)
+class ErrorPredictionConfig:
+    """How paths and sightings are modeled.
+
+    Raises:
+        ConfigError: a value is out of its range.
+    """
+
+    waypoints: int = setting(
+        5,
+        "Camera poses on a path from which fiducials are looked at, its end included.",
+        low=1,
+        high=50,
+    )
+    pixel_sigma: float = setting(
+        0.5, "Standard deviation of a tracked pixel.", unit="px", low=0.01, high=20.0
+    )
+    disparity_sigma: float = setting(
+        0.3, "Standard deviation of a fiducial's disparity.", unit="px", low=0.01, high=20.0
+    )
+    farthest: float = setting(
+        6.0, "Largest depth at which a fiducial is tracked.", unit="m", low=0.1, high=1000.0
+    )
+    fiducials: int = setting(
+        60,
+        "Of the known fiducials, so many are looked at; where there are more, each stands for "
+        "several.",
+        low=1,
+        high=10_000,
+    )
+    surface_points: int = setting(
+        40,
+        "So many points of the mapped surface stand for fiducials that will be found on the way.",
+        low=0,
+        high=10_000,
+    )
+    unseen_points: ClassVar[int] = 120
+    """At most so many points stand for fiducials in unknown space: those that are known, turned
+    about the vertical. 0: a camera that looks there is taken to find none.
+    """
+
+    def __post_init__(self) -> None:
+        check_config(self)
+
 
 __all__ = ["ErrorPrediction", "ErrorPredictionConfig"]
 

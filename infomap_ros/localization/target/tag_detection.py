@@ -9,11 +9,258 @@ from typing import Any, ClassVar, NamedTuple
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtr
 
 from infomap_ros.geometry.config import check_config, setting
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.localization.target.tag_board import cells, dictionary
-from infomap_ros.localization.target.tag_corners import refine_corners
+
+# Corners of tags to a fraction of a pixel, each with a covariance from the image itself.
+#
+# To the pixels beside each edge of the black square a straight step from dark to bright is fitted,
+# blurred by a Gaussian: ``I = D(s) + (B(s) - D(s)) Phi((n p - offset - slope s) / sigma)`` with
+# levels D and B that change linearly along the edge, as light does. The noise of a pixel is what
+# the fit leaves; it gives the covariance of the line. Neighboring lines are intersected.
+
+_ENDS = 0.12  # share of an edge at either end that the other edge's blur reaches
+_INSIDE, _OUTSIDE = 0.55, 0.8  # reach of the pixels beside an edge, in cells
+_LEAST_REACH, _LARGEST_REACH = 1.2, 5.0  # [px]
+_BLUR, _LOG_BLUR_SIGMA = 0.8, 0.5  # prior of a step's blur: [px], and of its logarithm
+_LEAST_NOISE = 0.3  # [gray levels], rounding to whole gray levels
+_ITERATIONS = 12
+_DETERMINED = 1e-10  # smallest eigenvalue of a line's information, scaled to a unit diagonal
+_PARALLEL = 0.05  # sine of the angle between two edges below which they have no corner
+_MOVED = 0.3  # [px] if corners moved by more, the pixels beside the edges are chosen again
+_ROOT_TWO_PI = float(np.sqrt(2.0 * np.pi))
+
+
+class TagCorners(NamedTuple):
+    """Corners of one tag.
+
+    Attributes:
+        pixels: shape (4, 2) [px].
+        covariances: shape (4, 2, 2) [px^2].
+    """
+
+    pixels: FloatArray
+    covariances: FloatArray
+
+
+def refine_corners(
+    image: NDArray[np.uint8], corners: FloatArray, cells: int, min_contrast: float
+) -> TagCorners | None:
+    """Measure the corners of the black square of a tag.
+
+    Args:
+        image: gray image, shape (H, W).
+        corners: where they are within a pixel or two, clockwise, shape (4, 2) [px].
+        cells: cells along the edge of the tag: white and black reach one cell from it.
+        min_contrast: smallest difference of white and black [gray levels].
+
+    Returns:
+        The corners, or None where an edge is not dark inside and bright outside all along, the
+        pixels beside it are not all in the image or leave it open, or two edges have no corner.
+    """
+    for _ in range(3):
+        cell = _narrowest_cell(corners, cells)
+        lines = []
+        for i in range(4):
+            pixels = _beside(image, corners[i], corners[(i + 1) % 4], cell)
+            line = _fit_step(pixels, min_contrast) if pixels is not None else None
+            if line is None:
+                return None
+            lines.append(line)
+        met = [_intersect(lines[i - 1], lines[i]) for i in range(4)]
+        found = [corner for corner in met if corner is not None]
+        if len(found) < 4:
+            return None
+        pixels_found = np.stack([point for point, _ in found])
+        moved = float(np.abs(pixels_found - corners).max())
+        if moved > max(2.0, cell):
+            return None
+        corners = pixels_found
+        if moved < _MOVED:
+            break
+    return TagCorners(corners, np.stack([covariance for _, covariance in found]))
+
+
+class _Beside(NamedTuple):
+    """Pixels beside an edge, in its coordinates.
+
+    Attributes:
+        middle: of the edge, shape (2,) [px].
+        along: unit vector from start to end, shape (2,).
+        half: half the edge's length [px].
+        s: place along the edge, -1 at its start and 1 at its end, shape (P,).
+        d: distance from the edge, positive outside, shape (P,) [px].
+        gray: shape (P,).
+    """
+
+    middle: FloatArray
+    along: FloatArray
+    half: float
+    s: FloatArray
+    d: FloatArray
+    gray: FloatArray
+
+
+class _Line(NamedTuple):
+    """A measured edge: ``n (p - middle) = offset + slope s``.
+
+    Attributes:
+        edge: what it was measured on.
+        offset: [px].
+        slope: [px] per unit of s.
+        covariance: of offset and slope, shape (2, 2) [px^2].
+    """
+
+    edge: _Beside
+    offset: float
+    slope: float
+    covariance: FloatArray
+
+
+def _narrowest_cell(corners: FloatArray, cells: int) -> float:
+    """Width of a cell where the tag is most foreshortened [px]."""
+    edges = np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1)
+    x, y = corners.T
+    area = 0.5 * abs(float(np.dot(x, np.roll(y, -1)) - np.dot(y, np.roll(x, -1))))
+    return area / (float(edges.max()) * cells)
+
+
+def _normal(along: FloatArray) -> FloatArray:
+    """To the outside of a clockwise square, shape (2,)."""
+    return np.array([along[1], -along[0]])
+
+
+def _beside(
+    image: NDArray[np.uint8], start: FloatArray, end: FloatArray, cell: float
+) -> _Beside | None:
+    """Pixels in the band along an edge; None where the band leaves the image."""
+    half = 0.5 * float(np.linalg.norm(end - start))
+    along, middle = (end - start) / (2.0 * half), 0.5 * (start + end)
+    inside, outside = np.clip(np.array([_INSIDE, _OUTSIDE]) * cell, _LEAST_REACH, _LARGEST_REACH)
+    low = np.floor(np.minimum(start, end) - outside).astype(int)
+    high = np.ceil(np.maximum(start, end) + outside).astype(int) + 1
+    if low.min() < 0 or high[0] > image.shape[1] or high[1] > image.shape[0]:
+        return None
+    v, u = np.mgrid[low[1] : high[1], low[0] : high[0]]
+    from_middle = np.stack([u.ravel(), v.ravel()], axis=1) - middle
+    s, d = from_middle @ along / half, from_middle @ _normal(along)
+    near = (np.abs(s) <= 1.0 - 2.0 * _ENDS) & (d >= -inside) & (d <= outside)
+    gray = image[low[1] : high[1], low[0] : high[0]].ravel()[near].astype(np.float64)
+    return _Beside(middle, along, half, s[near], d[near], gray)
+
+
+def _fit_step(edge: _Beside, min_contrast: float) -> _Line | None:
+    """Levenberg-Marquardt on offset, slope, log blur and four levels."""
+    if len(edge.gray) < 14:
+        return None
+    state = np.array([0.0, 0.0, np.log(_BLUR), *_first_levels(edge)])
+    residual, jacobian = _step_residuals(edge, state)
+    damping = 1e-3
+    for _ in range(_ITERATIONS):
+        information = jacobian.T @ jacobian
+        damped = information + damping * np.diag(np.diag(information) + 1e-9)
+        change = -np.linalg.solve(damped, jacobian.T @ residual)
+        moved = state + np.clip(change, -50.0, 50.0)
+        moved[2] = np.clip(moved[2], -2.0, 2.0)
+        next_residual, next_jacobian = _step_residuals(edge, moved)
+        if next_residual @ next_residual <= residual @ residual:
+            small = np.abs(change[:2]).max() < 1e-3
+            state, residual, jacobian = moved, next_residual, next_jacobian
+            damping = max(0.1 * damping, 1e-9)
+            if small:
+                break
+        else:
+            damping *= 10.0
+    return _line(edge, state, residual, jacobian, min_contrast)
+
+
+def _first_levels(edge: _Beside) -> tuple[float, float, float, float]:
+    """Dark and bright levels with no change along the edge."""
+    inner = np.median(edge.gray[edge.d <= 0.5 * edge.d.min()])
+    outer = np.median(edge.gray[edge.d >= 0.5 * edge.d.max()])
+    return float(inner), 0.0, float(outer), 0.0
+
+
+def _step_residuals(edge: _Beside, state: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Predicted minus measured gray, and the blur's prior, shape (P + 1,); derivatives (P + 1, 7).
+
+    The prior is weighed as if the noise were one gray level.
+    """
+    offset, slope, log_blur, dark, dark_slope, bright, bright_slope = state
+    blur = np.exp(log_blur)
+    ratio = (edge.d - offset - slope * edge.s) / blur
+    share = ndtr(ratio)
+    height = bright - dark + (bright_slope - dark_slope) * edge.s
+    predicted = dark + dark_slope * edge.s + height * share
+    by_place = -height * np.exp(-0.5 * ratio**2) / (_ROOT_TWO_PI * blur)
+    jacobian = np.zeros((len(edge.s) + 1, 7))
+    columns = [
+        by_place,
+        by_place * edge.s,
+        by_place * ratio * blur,
+        1.0 - share,
+        (1.0 - share) * edge.s,
+        share,
+        share * edge.s,
+    ]
+    jacobian[:-1] = np.column_stack(columns)
+    jacobian[-1, 2] = 1.0 / _LOG_BLUR_SIGMA
+    prior = (log_blur - np.log(_BLUR)) / _LOG_BLUR_SIGMA
+    return np.append(predicted - edge.gray, prior), jacobian
+
+
+def _line(
+    edge: _Beside, state: FloatArray, residual: FloatArray, jacobian: FloatArray, contrast: float
+) -> _Line | None:
+    """The line if it is a step from dark to bright along the whole edge, else None.
+
+    None too where the pixels leave something of it open, as when it lies beyond all of them.
+    """
+    dark, bright = state[3] + state[4] * edge.s, state[5] + state[6] * edge.s
+    if (bright - dark).min() < contrast:
+        return None
+    noise = float(residual[:-1] @ residual[:-1]) / (len(residual) - 8)
+    if np.sqrt(noise) > 0.5 * float(np.mean(bright - dark)):
+        return None
+    inverse = _inverse(jacobian.T @ jacobian)
+    if inverse is None:
+        return None
+    covariance = max(float(noise), _LEAST_NOISE**2) * inverse[:2, :2]
+    return _Line(edge, float(state[0]), float(state[1]), covariance)
+
+
+def _inverse(information: FloatArray) -> FloatArray | None:
+    """Inverse of an information, shape (n, n); None where it leaves a direction open."""
+    scale = np.sqrt(np.diag(information))
+    if not (np.isfinite(information).all() and scale.min() > 0.0):
+        return None
+    alike = information / np.outer(scale, scale)
+    if np.linalg.eigvalsh(alike)[0] < _DETERMINED:
+        return None
+    return np.asarray(np.linalg.inv(alike) / np.outer(scale, scale))
+
+
+def _intersect(first: _Line, second: _Line) -> tuple[FloatArray, FloatArray] | None:
+    """Corner at the end of the first line and the start of the second, and its covariance.
+
+    None where they are parallel.
+    """
+    normals, places, variances = np.zeros((2, 2)), np.zeros(2), np.zeros(2)
+    for i, (line, s) in enumerate(((first, 1.0), (second, -1.0))):
+        edge = line.edge
+        direction = edge.along + line.slope / edge.half * _normal(edge.along)
+        normals[i] = _normal(direction / np.linalg.norm(direction))
+        places[i] = normals[i] @ (edge.middle + line.offset * _normal(edge.along))
+        row = np.array([1.0, s])
+        variances[i] = row @ line.covariance @ row
+    if abs(float(np.linalg.det(normals))) < _PARALLEL:
+        return None
+    inverse = np.linalg.inv(normals)
+    return inverse @ places, inverse @ np.diag(variances) @ inverse.T
+
 
 aruco: Any = cv2.aruco  # whose functions were renamed in OpenCV 4.7
 

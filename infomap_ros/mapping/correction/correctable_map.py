@@ -316,7 +316,7 @@ class PoseCorrections:
 
     @property
     def poses(self) -> dict[int, tuple[FloatArray, None]]:
-        """T_map_sensor of each scan by its stamp, as `reintegrate` takes it."""
+        """T_map_sensor of each scan by its stamp, as `moved_scans` takes it."""
         return {stamp: (transform, None) for stamp, transform in self._poses.items()}
 
     def add(self, stamp: int, transform: FloatArray) -> None:

@@ -206,28 +206,3 @@ class Reintegration:
     def _keys(self) -> NDArray[np.int64]:
         blocks = self._map._storage.blocks
         return blocks.keys[: int(blocks.counts[BLOCK_COUNT])]
-
-
-def reintegrate(
-    voxel_map: VoxelMap,
-    store: ScanStore,
-    new_poses: Mapping[int, tuple[ArrayLike, ArrayLike | None]],
-    config: ReintegrationConfig | None = None,
-) -> ReintegrationReport:
-    """Move scans to corrected poses and make the affected part of the map again.
-
-    Args:
-        voxel_map: the map that the scans were integrated into.
-        store: the scans.
-        new_poses: T_map_sensor, shape (4, 4), and its covariance, shape (6, 6), or None for the
-            one there was, by the stamp of the scan [ns]. Other stamps are of no matter.
-        config: which scans follow.
-
-    Raises:
-        InvalidInputError: a pose or a covariance is none.
-        CapacityError: map and work do not fit into the memory limit. The map is as it was.
-    """
-    moved = moved_scans(store, new_poses, voxel_map, config)
-    if not moved:
-        return ReintegrationReport(0, 0, 0, 0.0)
-    return Reintegration(voxel_map, store, moved).finish()

@@ -28,6 +28,7 @@ _DARKEST = (
     0.45  # brightness of a surface seen edge-on; one that faces the viewer has its bar's color
 )
 _FLAT = 0.4  # a view that is lower than this share of its width has its color bar below
+_LONG = 0.35  # views that are lower than this share of their width lie one below the other
 _WIDTH, _BARS, _TITLES = 14.0, 2.2, 1.1  # of the sheet, its color bars, and titles of a row [in]
 
 
@@ -149,13 +150,7 @@ def draw_map_views(
     distance -= distance.min()
     heights, distances = _limits(surface.points[:, 2]), _limits(distance)
     sigmas = LogNorm(*_sigma_limits(surface.sigmas))
-    shares, height = _layout(below, top, surface, side)
-    figure = Figure(figsize=(_WIDTH, height), layout="constrained")
-    FigureCanvasAgg(figure)
-    parts: dict[str, Axes] = figure.subplot_mosaic(
-        [["top", "side"], ["top", "sigma"]], width_ratios=shares
-    )
-    axes = [parts[name] for name in ("top", "side", "sigma")]
+    figure, axes = _sheet(_aspect(below.points, top), _aspect(surface.points, side))
     cell = _cell(surface.points, size)
     _draw(axes[0], below, top, cell, below.points[:, 2], heights, "viridis", "z [m]")
     _draw(axes[1], surface, side, cell, distance, distances, "viridis_r", "distance [m]")
@@ -170,17 +165,30 @@ def draw_map_views(
     figure.savefig(path, dpi=110)
 
 
-def _layout(
-    below: _Surface, top: _View, surface: _Surface, side: _View
-) -> tuple[tuple[float, float], float]:
-    """Widths of the two columns, and the height of the sheet [in], that waste little paper."""
-    tall = _aspect(below.points, top)
-    flat = _aspect(surface.points, side)
+def _sheet(tall: float, flat: float) -> tuple[Figure, tuple[Axes, Axes, Axes]]:
+    """A sheet that wastes little paper, with axes for the views from above, the side, and sigma.
+
+    Args:
+        tall: height over width of the view from above.
+        flat: of the others.
+    """
     width = _WIDTH - _BARS
-    left = (2.0 * flat * width + _TITLES) / (tall + 2.0 * flat)
-    left = float(np.clip(left, 0.3 * width, 0.65 * width))
-    height = max(tall * left, 2.0 * flat * (width - left) + _TITLES) + _TITLES
-    return (left, width - left), float(np.clip(height, 5.0, 12.0))
+    if max(tall, flat) < _LONG:  # one below the other
+        names = [["top"], ["side"], ["sigma"]]
+        widths, heights = None, (tall, flat, flat)
+        height = (tall + 2.0 * flat) * width + 3.0 * _TITLES
+    else:
+        names = [["top", "side"], ["top", "sigma"]]
+        left = (2.0 * flat * width + _TITLES) / (tall + 2.0 * flat)
+        left = float(np.clip(left, 0.3 * width, 0.65 * width))
+        widths, heights = (left, width - left), None
+        height = max(tall * left, 2.0 * flat * (width - left) + _TITLES) + _TITLES
+    figure = Figure(figsize=(_WIDTH, float(np.clip(height, 5.0, 12.0))), layout="constrained")
+    FigureCanvasAgg(figure)
+    parts: dict[str, Axes] = figure.subplot_mosaic(
+        names, width_ratios=widths, height_ratios=heights
+    )
+    return figure, (parts["top"], parts["side"], parts["sigma"])
 
 
 def _aspect(points: FloatArray, view: _View) -> float:

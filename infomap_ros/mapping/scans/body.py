@@ -26,7 +26,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry import Box, ConvexPolytope, Cylinder, PlacedSolid, Sphere
-from infomap_ros.geometry.config import check_config, setting
+from infomap_ros.geometry.config import check_config, parameter, setting
 from infomap_ros.mapping.scans.body_kernels import (
     BOX,
     CYLINDER,
@@ -48,7 +48,7 @@ class BodyFilterConfig:
         ConfigError: a value is out of its range.
     """
 
-    margin: float = setting(
+    margin: float = parameter(
         0.02,
         "Growth of the body's solids, for what the robot description and the joint positions "
         "leave open.",

@@ -8,8 +8,12 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-SURE = 2.0
+SURE = 1.0
 """Standard deviations by which ground counts as lower than it seems, where it is in the way."""
+CUBE_SIGMA = 1.0 / math.sqrt(12.0)
+"""Deviation of ground known to its cube [edges]; more excuses nothing: a stone is no ramp."""
+STEP_LENGTH = 0.1
+"""Along which a difference in height is a step, whatever the cells [m]: about a wheel's radius."""
 
 _RING = 5  # known cells around a hole without which nothing is said of it
 
@@ -117,22 +121,37 @@ def _fill(
 
 
 @njit(cache=True, nogil=True)
-def largest_steps(heights: Any, sigmas: Any, steps: Any) -> None:
-    """Largest step that is sure to be there, to one of the 8 neighbors [m]; NaN without ground.
+def largest_steps(heights: Any, sigmas: Any, edge: float, steps: Any) -> None:
+    """Largest step that is sure to be there [m]; NaN without ground; `edge` is that of a cell [m].
 
-    It is the difference in height less `SURE` of its standard deviations: ground that was seen
-    from afar is no stairs for its noise. The robot that comes nearer sees it better.
+    To a neighbor within half of `STEP_LENGTH`, at least the 8 next ones, or from there to the one
+    opposite: an edge that the map blurs. It is the difference in height less `SURE` deviations:
+    ground that was seen from afar is no stairs for its noise. Coming nearer shows it better.
     """
     nx, ny = heights.shape
+    largest = math.sqrt(2.0) * CUBE_SIGMA * edge
+    cells = max(0.5 * STEP_LENGTH / edge, 1.5) + 1e-6
+    reach = int(cells)
     for i in range(nx):
         for j in range(ny):
             here, step = heights[i, j], 0.0
-            for a in range(max(i - 1, 0), min(i + 2, nx)):
-                for b in range(max(j - 1, 0), min(j + 2, ny)):
-                    deviation = math.hypot(sigmas[a, b], sigmas[i, j])
-                    difference = abs(heights[a, b] - here) - SURE * deviation
-                    if difference > step:
-                        step = difference
+            for a in range(max(-reach, -i), min(reach, nx - 1 - i) + 1):
+                for b in range(max(-reach, -j), min(reach, ny - 1 - j) + 1):
+                    if a * a + b * b > cells * cells:
+                        continue
+                    there, sigma = heights[i + a, j + b], sigmas[i + a, j + b]
+                    # The root of the variances takes most of the time: only where it may matter.
+                    rise = abs(there - here)
+                    if rise > step:
+                        deviation = min(math.hypot(sigma, sigmas[i, j]), largest)
+                        step = max(step, rise - SURE * deviation)
+                    k, m = i - a, j - b
+                    if (a, b) > (0, 0) and 0 <= k < nx and 0 <= m < ny:  # each pair once
+                        rise = abs(there - heights[k, m])
+                        if rise > step:
+                            deviation = min(math.hypot(sigma, sigmas[k, m]), largest)
+                            share = min(1.0, 0.5 * STEP_LENGTH / (math.hypot(a, b) * edge))
+                            step = max(step, (rise - SURE * deviation) * share)
             steps[i, j] = math.nan if math.isnan(here) else step
 
 

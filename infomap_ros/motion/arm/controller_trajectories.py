@@ -15,7 +15,7 @@ import numpy as np
 
 from infomap_ros.errors import ConfigError, InvalidInputError, RobotModelError
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.motion.robot.joint_limits import JointLimits
+from infomap_ros.motion.robot.mechanism import JointLimits
 from infomap_ros.motion.route import ArmPath
 
 _UNKNOWN_SPEED = 0.5  # [rad/s or m/s] of joints whose description gives none

@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from infomap_ros.motion.robot.chain_kernels import fill_jacobian, place_chain
+from infomap_ros.motion.robot.chain import fill_jacobian, place_chain
 
 DAMPING = 0.05  # per squared error; 0.02 to 0.1 are within a few percent of each other in time
 LEAST_DAMPING = 1e-6  # keeps the matrix regular at the goal
@@ -53,6 +53,28 @@ class Goal(NamedTuple):
     direction_only: bool
     position_tolerance: float
     rotation_tolerance: float
+
+
+class Arm(NamedTuple):
+    """What a search has to know of a chain besides its `ChainArrays`.
+
+    Attributes:
+        lower: limits [rad or m], shape (n,).
+        upper: limits [rad or m], shape (n,).
+        prismatic: slides, shape (n,).
+        low: from where random starts are drawn, finite, shape (n,).
+        high: up to where, shape (n,).
+        root: origin of the first joint [m], shape (3,).
+        reach: no camera is farther from it [m].
+    """
+
+    lower: NDArray[np.float64]
+    upper: NDArray[np.float64]
+    prismatic: NDArray[np.bool_]
+    low: NDArray[np.float64]
+    high: NDArray[np.float64]
+    root: NDArray[np.float64]
+    reach: float
 
 
 @njit(cache=True, nogil=True)
@@ -201,14 +223,7 @@ def take_step(
 
 @njit(cache=True, nogil=True)
 def descend(
-    chain: Any,
-    lower: Any,
-    upper: Any,
-    prismatic: Any,
-    target: Any,
-    goal: Any,
-    best: Any,
-    memory: Any,
+    chain: Any, arm: Any, target: Any, goal: Any, best: Any, memory: Any
 ) -> tuple[bool, float, float]:
     """Go from positions to better ones by damped least squares, within the limits.
 
@@ -218,9 +233,7 @@ def descend(
 
     Args:
         chain: a `ChainArrays`.
-        lower: limits [rad or m], shape (n,).
-        upper: limits [rad or m], shape (n,).
-        prismatic: shape (n,).
+        arm: an `Arm`.
         target: ``T_base_camera``, upper three rows.
         goal: a `Goal`.
         best: start, then the best positions on the way, shape (n,).
@@ -229,7 +242,7 @@ def descend(
     Returns:
         Whether the goal is reached, distance [m] and angle [rad] at `best`.
     """
-    columns, scales, offsets, slides, placements, tail = chain
+    lower, upper, prismatic = arm.lower, arm.upper, arm.prismatic
     places, jacobian, rows, error, normal, pulls, free, q = memory
     direction_only, position_tolerance, rotation_tolerance = goal
     weight, m = rotation_tolerance / position_tolerance, 5 if direction_only else 6
@@ -237,7 +250,7 @@ def descend(
     best_square, best_distance, best_angle, idle, reached = np.inf, np.inf, np.inf, 0, False
     q[:] = best
     for _ in range(ITERATIONS):
-        place_chain(columns, scales, offsets, slides, placements, tail, q, places)
+        place_chain(chain, q, places)
         distance, angle = camera_error(places[-1], target, direction_only, error)
         square = (weight * distance) ** 2 + angle * angle
         inside = distance <= position_tolerance and angle <= rotation_tolerance
@@ -251,9 +264,137 @@ def descend(
             break
         for i in range(3):
             error[i] *= weight
-        fill_jacobian(columns, scales, slides, places, jacobian)
+        fill_jacobian(chain, places, jacobian)
         weigh(places[-1], jacobian, direction_only, weight, rows)
         find_free(rows, error, m, q, lower, upper, free)
         solve_damped(rows, error, m, free, DAMPING * square + LEAST_DAMPING, normal, pulls)
         take_step(rows, pulls, m, free, lower, upper, prismatic, q)
     return reached, best_distance, best_angle
+
+
+@njit(cache=True, nogil=True)
+def random_unit(seed: int, stream: int, index: int) -> float:
+    """A number in [0, 1) that depends on nothing but its arguments, so that threads do not matter.
+
+    SplitMix64 (Steele, Lea, Flood 2014, doi:10.1145/2660193.2660195).
+    """
+    x = np.uint64(seed) * np.uint64(0xD1342543DE82EF95) + np.uint64(stream)
+    x = x * np.uint64(0xDA942042E4DD58B5) + np.uint64(index + 1) * np.uint64(0x9E3779B97F4A7C15)
+    x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    x = (x ^ (x >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    x = x ^ (x >> np.uint64(31))
+    return float(x >> np.uint64(11)) / 9007199254740992.0
+
+
+@njit(cache=True, nogil=True)
+def start_at(arm: Any, start: Any, seed: int, stream: int, attempt: int, q: Any) -> None:
+    """The first attempt starts at `start`, all others at random."""
+    n = q.shape[0]
+    for j in range(n):
+        if attempt == 0:
+            q[j] = start[j]
+        else:
+            unit = random_unit(seed, stream, attempt * n + j)
+            q[j] = arm.low[j] + unit * (arm.high[j] - arm.low[j])
+
+
+@njit(cache=True, nogil=True)
+def unwind(arm: Any, start: Any, q: Any) -> None:
+    """Of the positions that are whole turns apart take the allowed one nearest to `start`."""
+    for j in range(q.shape[0]):
+        if arm.prismatic[j]:
+            continue
+        near = q[j] + _TURN * np.round((start[j] - q[j]) / _TURN)
+        while near > arm.upper[j]:
+            near -= _TURN
+        while near < arm.lower[j]:
+            near += _TURN
+        if near <= arm.upper[j]:
+            q[j] = near
+
+
+@njit(cache=True, nogil=True)
+def attempts_for(arm: Any, target: Any, goal: Any, most: int) -> int:
+    """One where no stretched arm's camera comes from the first joint to the target, else all."""
+    square = 0.0
+    for i in range(3):
+        square += (target[i, 3] - arm.root[i]) ** 2
+    return 1 if math.sqrt(square) > arm.reach + goal.position_tolerance else most
+
+
+@njit(cache=True, nogil=True)
+def next_solution(
+    chain: Any,
+    arm: Any,
+    target: Any,
+    goal: Any,
+    start: Any,
+    seed: int,
+    stream: int,
+    attempts: tuple[int, int],
+    q: Any,
+    memory: Any,
+) -> tuple[int, bool, float, float]:
+    """Descend from one start after the other until one reaches the goal.
+
+    Args:
+        chain: a `ChainArrays`.
+        arm: an `Arm`.
+        target: ``T_base_camera``, shape (4, 4).
+        goal: a `Goal`.
+        start: of the first attempt, shape (n,).
+        seed: of the random starts.
+        stream: number of the target; each has its own starts.
+        attempts: the first, and the one after the last.
+        q: written: the solution, or the positions of least error, shape (n,).
+        memory: a `Scratch`.
+
+    Returns:
+        Number of the last attempt, whether the goal is reached, distance [m] and angle [rad].
+    """
+    trial = np.empty(q.shape[0])
+    least, distance, angle = np.inf, np.inf, np.inf
+    attempt = attempts[0]
+    for attempt in range(attempts[0], attempts[1]):
+        start_at(arm, start, seed, stream, attempt, trial)
+        reached, d, a = descend(chain, arm, target, goal, trial, memory)
+        miss = (d / goal.position_tolerance) ** 2 + (a / goal.rotation_tolerance) ** 2
+        if reached or miss < least:
+            least, distance, angle = miss, d, a
+            q[:] = trial
+        if reached:
+            unwind(arm, start, q)
+            return attempt, True, distance, angle
+    return attempt, False, distance, angle
+
+
+@njit(cache=True, nogil=True)
+def search_all(
+    chain: Any, arm: Any, targets: Any, goal: Any, starts: Any, seed: int, attempts: int
+) -> Any:
+    """`next_solution` for many targets.
+
+    Args:
+        chain: a `ChainArrays`.
+        arm: an `Arm`.
+        targets: ``T_base_camera``, shape (M, 4, 4).
+        goal: a `Goal`.
+        starts: shape (M, n).
+        seed: of the random starts.
+        attempts: largest number for one target.
+
+    Returns:
+        Positions, shape (M, n), whether they reach the goal, distances [m], angles [rad], and
+        numbers of random starts, shape (M,) each.
+    """
+    count, n = starts.shape
+    memory = make_scratch(chain.columns.shape[0], n)
+    qs, converged = np.empty((count, n)), np.empty(count, np.bool_)
+    distances, angles = np.empty(count), np.empty(count)
+    restarts = np.empty(count, np.int64)
+    for i in range(count):
+        span = 0, attempts_for(arm, targets[i], goal, attempts)
+        restarts[i], converged[i], distances[i], angles[i] = next_solution(
+            chain, arm, targets[i], goal, starts[i], seed, i, span, qs[i], memory
+        )
+    return qs, converged, distances, angles, restarts

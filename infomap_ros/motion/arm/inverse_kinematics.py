@@ -14,8 +14,14 @@ from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry import check_transform, check_transforms, float_array
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.motion.arm.ik_kernels import Goal, make_scratch
-from infomap_ros.motion.arm.ik_search import Arm, attempts_for, next_solution, search_all
+from infomap_ros.motion.arm.ik_kernels import (
+    Arm,
+    Goal,
+    attempts_for,
+    make_scratch,
+    next_solution,
+    search_all,
+)
 from infomap_ros.motion.robot.chain import KinematicChain
 from infomap_ros.motion.robot.robot_model import RobotModel
 
@@ -106,11 +112,7 @@ def solve_ik_batch(
     found = search_all(
         chain.arrays, arm_of(chain), targets, goal, starts, seed, settings.restarts + 1
     )
-    reasons = tuple(
-        "" if converged else why_not(chain, target, q, errors, goal)
-        for target, q, converged, *errors in zip(targets, *found[:4], strict=True)
-    )
-    return IkBatch(found[0], found[1], reasons, *found[2:])
+    return IkBatch(*found)
 
 
 def _chain_of(robot: RobotModel | KinematicChain) -> KinematicChain:
@@ -200,7 +202,6 @@ class IkBatch:
     Attributes:
         q: shape (M, n) [rad or m].
         converged: shape (M,).
-        reasons: why not converged, empty where it is; M of them.
         position_errors: shape (M,) [m].
         rotation_errors: shape (M,) [rad].
         restarts: shape (M,).
@@ -208,7 +209,6 @@ class IkBatch:
 
     q: FloatArray
     converged: NDArray[np.bool_]
-    reasons: tuple[str, ...]
     position_errors: FloatArray
     rotation_errors: FloatArray
     restarts: NDArray[np.int64]

@@ -1,8 +1,10 @@
-"""Ways of the base over rough ground."""
+"""Ways of the base over rough ground, all ground that it can reach, and why it gets nowhere."""
 
 from __future__ import annotations
 
+import dataclasses
 import math
+from collections import Counter
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -11,14 +13,166 @@ from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry import float_array
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping.terrain.terrain import Terrain
-from infomap_ros.motion.base.base_path import BasePath, BasePlannerConfig
-from infomap_ros.motion.base.drive_kernels import legs_of
-from infomap_ros.motion.base.drive_links import links_for
-from infomap_ros.motion.base.drive_reach import DriveReach
-from infomap_ros.motion.base.drive_space import DriveSpace
+from infomap_ros.motion.base import drive_graph
+from infomap_ros.motion.base.drive_graph import HEADINGS, legs_of
+from infomap_ros.motion.base.drive_space import BasePath, BasePlannerConfig, DriveSpace, links_for
 from infomap_ros.motion.base.driven_path import DrivenPath
 from infomap_ros.motion.base.standing_ground import with_standing_ground
 from infomap_ros.motion.base.vehicle import Vehicle
+
+_MOST_BESIDE = 4  # cells to each side of a place that are tried; of more every second, third, ...
+_WITHDRAWAL = 0.1  # [m]; by which it drives straight before it asks again where it can turn
+_SAME_PLACE = 1e-6  # [m and rad]
+
+NodeArray = NDArray[np.int64]
+
+
+class DriveReach:
+    """The graph of `drive_graph` searched from one start.
+
+    Args:
+        space: where the vehicle can stand.
+        start: x, y, yaw, shape (3,). A robot that stands where it should not may leave from
+            there over the configured distance; one that is only nearer to things than its margin
+            touches nothing on that way if that can be avoided.
+
+    Only the last one made of a space holds: the next search overwrites it.
+    """
+
+    def __init__(self, space: DriveSpace, start: FloatArray) -> None:
+        self._space, self.start, self._graph = space, start.copy(), space.graph
+        self._links = links_for(space.config, float(space.grid[2]))
+        self._entry = start.copy()
+        nodes = self._joins(start)
+        if not len(nodes):
+            nodes = self._withdrawn(start, space) if space.stands(start) else self._left(start)
+        costs = self._costs([(self._entry, self._place_of(node)) for node in nodes])
+        config, order = space.config, np.argsort(costs, kind="stable")
+        drive_graph.flood(
+            self._graph, nodes[order], costs[order], space.arcs, config.reverse,
+            config.turn_cost / space.grid[2], space.grid, space.ground,
+        )  # fmt: skip
+
+    def starts_at(self, start: FloatArray) -> bool:
+        """Whether this is what can be reached from there."""
+        return bool(np.abs(self.start - start).max() < _SAME_PLACE)
+
+    def cells(self) -> NDArray[np.bool_]:
+        """Cells that are reached in any heading, shape (nx, ny)."""
+        return np.asarray((self._graph.costs >= 0).any(axis=2))
+
+    def way_to_any(self, places: FloatArray) -> tuple[FloatArray, int] | None:
+        """The cheapest way to one of several places, shape (P, 3), and which it is; or None."""
+        costs = self._graph.costs.ravel()
+        ends = [
+            (int(node), index)
+            for index, place in enumerate(places)
+            for node in self._nodes_around(place)
+            if costs[node] >= 0
+        ]
+        last = self._costs([(self._place_of(node), places[index]) for node, index in ends])
+        totals = [int(costs[node]) + int(cost) for (node, _), cost in zip(ends, last, strict=True)]
+        for n in np.argsort(totals, kind="stable"):
+            node, index = ends[n]
+            join = self._links.join(self._place_of(node), places[index])
+            if self._space.fault_on(join) is None:
+                return np.concatenate([self._way_to(node), join[1:]]), index
+        return None
+
+    def nearest_to(self, goals: FloatArray) -> tuple[FloatArray, int, float] | None:
+        """Way to the reached node nearest to a goal, that goal, and the distance left [m]."""
+        nodes = np.flatnonzero(self._graph.costs.ravel() >= 0)
+        if not len(nodes):
+            return None
+        cells = np.column_stack(np.divmod(nodes // 16, self._graph.costs.shape[1]))
+        middles = self._space.terrain.centers_of(cells)
+        best = (np.inf, np.inf, 0, 0)
+        for index, goal in enumerate(goals):
+            left = np.hypot(*(middles - goal[:2]).T)
+            nearest = left <= left.min() + 1e-9
+            costs = np.where(nearest, self._graph.costs.ravel()[nodes], np.inf)
+            found = int(costs.argmin())
+            best = min(best, (float(left[found]), float(costs[found]), index, int(nodes[found])))
+        return self._way_to(best[3]), best[2], best[0]
+
+    def _way_to(self, node: int) -> FloatArray:
+        """Places from the start to a node."""
+        origins = self._graph.origins.ravel()
+        way = [self._place_of(node)]
+        while origins[node] != node:
+            node = int(origins[node])
+            way.append(self._place_of(node))
+        first = self._links.join(self._entry, way[-1])
+        if np.abs(self._entry - self.start).max() > _SAME_PLACE:
+            first = np.concatenate([self.start[None], first])
+        return np.concatenate([first[:-1], self._links.chain(np.array(way[::-1]))])
+
+    def _joins(self, place: FloatArray) -> NodeArray:
+        """Nodes near a place to which the robot may drive."""
+        nodes = [
+            node
+            for node in self._nodes_around(place)
+            if self._space.fault_on(self._links.join(place, self._place_of(node))) is None
+        ]
+        return np.array(nodes, np.int64)
+
+    def _left(self, start: FloatArray) -> NodeArray:
+        """Nodes to which the robot may leave a start in which it should not stand."""
+        nodes, bare = self._escapes(start), self._space.without_margin()
+        if not bare.stands(start):
+            return nodes
+        joins = (self._links.join(start, self._place_of(node)) for node in nodes)
+        free = np.array([bare.fault_on(join) is None for join in joins], np.bool_)
+        if free.any():
+            return np.asarray(nodes[free])
+        withdrawn = self._withdrawn(start, bare)
+        return withdrawn if len(withdrawn) else nodes
+
+    def _withdrawn(self, start: FloatArray, space: DriveSpace) -> NodeArray:
+        """Nodes near a place straight behind or before a start in which the robot cannot turn."""
+        ahead = np.array([np.cos(start[2]), np.sin(start[2]), 0.0])
+        signs = (-1.0, 1.0) if space.config.reverse else (1.0,)
+        for distance in np.arange(_WITHDRAWAL, space.config.reach + 1e-9, _WITHDRAWAL):
+            for sign in signs:
+                place = start + sign * distance * ahead
+                if space.fault_on(np.stack([start, place])) is None:
+                    nodes = self._joins(place)
+                    if len(nodes):
+                        self._entry = place
+                        return nodes
+        return np.zeros(0, np.int64)
+
+    def _escapes(self, start: FloatArray) -> NodeArray:
+        """Nodes near the start at which the robot may stand."""
+        space, distance = self._space, self._space.config.escape
+        nodes = self._nodes_around(start, distance)
+        places = np.array([self._place_of(node) for node in nodes]).reshape(-1, 3)
+        near = np.hypot(*(places[:, :2] - start[:2]).T) <= distance
+        near[near] = space.vehicle.stances(space.terrain, places[near]).ok
+        return np.asarray(nodes[near])
+
+    def _costs(self, ways: list[tuple[FloatArray, FloatArray]]) -> NodeArray:
+        """Costs of ways from one place to another, in the graph's units."""
+        scale = drive_graph.UNITS / self._space.grid[2]
+        return np.array([round(scale * self._links.cost(*way)) for way in ways], np.int64)
+
+    def _nodes_around(self, place: FloatArray, reach: float | None = None) -> NodeArray:
+        """Nodes within a distance of a place along x and y, the links' reach if none is given."""
+        nx, ny, headings = self._graph.costs.shape
+        cells = int(np.ceil((self._links.reach if reach is None else reach) / self._space.grid[2]))
+        stride = max(1, cells // _MOST_BESIDE)
+        middle, offsets = self._space.terrain.cells_of(place), np.arange(-cells, cells + 1, stride)
+        i, j, h = np.meshgrid(
+            middle[0] + offsets, middle[1] + offsets, np.arange(headings), indexing="ij"
+        )
+        inside = (i >= 0) & (i < nx) & (j >= 0) & (j < ny)
+        return np.asarray(((i * ny + j) * headings + h)[inside])
+
+    def _place_of(self, node: int) -> FloatArray:
+        """x, y, yaw of a node, shape (3,)."""
+        cell, heading = divmod(int(node), len(HEADINGS))
+        x, y = self._space.terrain.centers_of(divmod(cell, self._graph.costs.shape[1]))
+        return np.array([x, y, HEADINGS[heading]])
 
 
 class BasePlanner:
@@ -30,10 +184,7 @@ class BasePlanner:
         terrain: the ground as the map shows it.
         vehicle: the robot.
         config: None for the defaults.
-        standing: poses T_map_base in which the robot stands or has stood, shape (4, 4) or
-            (P, 4, 4): the ground there is known.
-        previous: a planner for an earlier state of the ground: what it found out is kept where
-            the ground has not changed and the vehicle is the same.
+        standing: T_map_base in which the robot stands, shape (4, 4): the ground there is known.
     """
 
     def __init__(
@@ -42,16 +193,14 @@ class BasePlanner:
         vehicle: Vehicle,
         config: BasePlannerConfig | None = None,
         standing: ArrayLike | None = None,
-        previous: BasePlanner | None = None,
     ) -> None:
         self.config = config or BasePlannerConfig()
         self.vehicle = vehicle
         self._reach: DriveReach | None = None
-        known: DriveSpace | None = None if previous is None else previous._space
         if standing is not None:
             reach = self.config.standing_reach
             terrain = with_standing_ground(terrain, vehicle, standing, reach)
-        self._space: DriveSpace = DriveSpace(terrain, vehicle, self.config, known)
+        self._space: DriveSpace = DriveSpace(terrain, vehicle, self.config)
 
     @property
     def terrain(self) -> Terrain:
@@ -85,24 +234,19 @@ class BasePlanner:
             way = self._free_arrival(way)
         return self._space.finished(way, goal, method)
 
-    def reachable_area(self, start: ArrayLike | None = None) -> NDArray[np.bool_]:
+    def reachable_area(self, start: ArrayLike) -> NDArray[np.bool_]:
         """Cells of the terrain in whose middle the base can stand and to which it can drive.
 
         Args:
-            start: x, y, yaw of the base, shape (3,); None for the start of the last call.
+            start: x, y, yaw of the base, shape (3,).
 
         Returns:
             Shape (nx, ny), indexed [x, y] as `terrain`.
 
         Raises:
-            InvalidInputError: there was no start yet, or it is not finite.
+            InvalidInputError: it is not finite.
         """
-        if start is not None:
-            here = _places(start, "start", False)[0]
-            self._reached_from(here)
-        if self._reach is None:
-            raise InvalidInputError("start", "is not known yet: give it or plan first")
-        return self._reach.cells()
+        return self._reached_from(_places(start, "start", False)[0]).cells()
 
     @property
     def _ompl(self) -> DrivenPath:
@@ -144,8 +288,7 @@ class BasePlanner:
         return self._space.finished(way, goal, method, reason)
 
     def _why_stuck(self, reach: DriveReach) -> str:
-        x, y, yaw = (float(value) for value in reach.start)
-        reason = self.vehicle.stance(self.terrain, x, y, yaw).reason
+        reason = self.vehicle.refusal(self.terrain, reach.start)
         return reason or "no pose next to it is safe"
 
 
@@ -165,3 +308,139 @@ def _owner(place: FloatArray, places: FloatArray, owners: NDArray[np.int64]) -> 
     away = np.hypot(*(places[:, :2] - place[:2]).T)
     away += np.abs((places[:, 2] - place[2] + math.pi) % (2.0 * math.pi) - math.pi)
     return int(owners[away.argmin()])
+
+
+_CONFINED = 0.3  # [m]; a base that gets no farther does not drive
+_HEADINGS = 8
+_EDGE = "outside"  # of the terrain: a wide body comes there before it says why
+
+
+def why_confined(planner: BasePlanner, here: FloatArray) -> str:
+    """Why the base cannot leave the place where it stands, or empty where it can.
+
+    Args:
+        planner: of the base.
+        here: x, y [m] and yaw [rad] of the base in the map, shape (3,).
+
+    Returns:
+        What is in the way where it stands, else what is most often in the way 0.3 m from there.
+    """
+    area, terrain = planner.reachable_area(here), planner.terrain
+    cells = np.argwhere(area)
+    away = np.hypot(*(terrain.centers_of(cells) - here[:2]).T) if len(cells) else np.zeros(1)
+    if away.max() > _CONFINED:
+        return ""
+    reason = planner.vehicle.refusal(terrain, here)
+    if len(cells):
+        return (
+            f"it gets {away.max():.1f} m from its place: {_around(planner.vehicle, terrain, here)}"
+        )
+    return reason or f"no pose next to it is safe: {_around(planner.vehicle, terrain, here)}"
+
+
+def _around(vehicle: Vehicle, terrain: Terrain, here: FloatArray) -> str:
+    """What most often speaks against poses beside a place, and turned at it."""
+    bearings = here[2] + np.arange(_HEADINGS) * (2.0 * np.pi / _HEADINGS)
+    poses = [np.array([*here[:2], bearing]) for bearing in bearings[1:]]
+    for bearing in bearings:
+        beside = here[:2] + _CONFINED * np.array([np.cos(bearing), np.sin(bearing)])
+        poses += [np.array([*beside, here[2]]), np.array([*beside, bearing])]
+    found = [reason for pose in poses if (reason := vehicle.refusal(terrain, pose))]
+    if not found:
+        return "no way was found between poses that are safe"
+    told = [reason for reason in found if not reason.startswith(_EDGE)] or found
+    kinds = Counter(reason.split(" at (")[0] for reason in told)
+    kind, count = kinds.most_common(1)[0]
+    example = next(reason for reason in told if reason.startswith(kind))
+    return f"in {count} of {len(poses)} poses about it {example}"
+
+
+_EXITS = 40  # nearest cells outside, of which the one with the cheapest way is taken
+
+
+class LeavingPlanner(BasePlanner):
+    """Plans for a robot that stands in a keep-out region or outside a fence.
+
+    Ways begin with the shortest one to where it may stand; from there on they keep to the rules.
+    Other regions and fences hold from the start.
+
+    Args:
+        terrain: the ground, with all that is closed.
+        opened: the same without what the robot stands in.
+        vehicle: the robot.
+        config: of the planner.
+        standing: T_map_base in which the robot stands, shape (4, 4).
+    """
+
+    def __init__(
+        self,
+        terrain: Terrain,
+        opened: Terrain,
+        vehicle: Vehicle,
+        config: BasePlannerConfig,
+        standing: ArrayLike | None = None,
+    ) -> None:
+        super().__init__(terrain, vehicle, config, standing)
+        self._opened = BasePlanner(opened, vehicle, config, standing)
+        self._out: tuple[FloatArray, BasePath] | None = None
+
+    def plan(self, start: ArrayLike, goals: ArrayLike, samples: int | None = None) -> BasePath:
+        """The way out and on to one of the goals, or as near to one as is safe; see `BasePlanner`.
+
+        Where there is no way on, the way out alone, with the reason.
+        """
+        out = self._way_out(np.asarray(start, dtype=np.float64))
+        if not out.complete:
+            return out
+        on = super().plan(out.poses[-1], goals, samples)
+        return _joined(out, on) if len(on.poses) else _alone(out, on)
+
+    def reachable_area(self, start: ArrayLike) -> NDArray[np.bool_]:
+        """Cells in which the base may stand and to which it can drive; see `BasePlanner`."""
+        out = self._way_out(np.asarray(start, dtype=np.float64))
+        if not out.complete:
+            return np.zeros(self.terrain.heights.shape, np.bool_)
+        return super().reachable_area(out.poses[-1])
+
+    def _way_out(self, start: FloatArray) -> BasePath:
+        """The shortest way to where the robot may stand, remembered for the last start."""
+        if self._out is None or not np.array_equal(self._out[0], start):
+            self._out = start.copy(), self._find_way_out(start)
+        return self._out[1]
+
+    def _find_way_out(self, start: FloatArray) -> BasePath:
+        area = self._opened.reachable_area(start)
+        cells = np.argwhere(area)
+        middles = self._opened.terrain.centers_of(cells)
+        order = np.argsort(np.hypot(*(middles - start[:2]).T), kind="stable")
+        places = np.empty((len(order), len(HEADINGS), 3))
+        places[:, :, :2], places[:, :, 2] = middles[order][:, None], HEADINGS
+        good = self.vehicle.stances(self.terrain, places.reshape(-1, 3)).ok
+        exits = places[good.reshape(places.shape[:2]).any(axis=1)][:_EXITS]
+        goals = exits.reshape(-1, 3)
+        goals = goals[self.vehicle.stances(self.terrain, goals).ok]
+        where = self.vehicle.closed_at(self.terrain, *start)
+        if not len(goals):
+            reason = f"the robot stands {where}, and no way leads out"
+            return self._space.nowhere(reason)
+        path = self._opened.plan(start, goals, samples=0)
+        if path.complete:
+            return path
+        return self._space.nowhere(f"the robot stands {where}: {path.reason}")
+
+
+def _joined(first: BasePath, second: BasePath) -> BasePath:
+    """One path after the other."""
+    poses = np.concatenate([first.poses, second.poses[1:]])
+    poses[:, 2] = np.unwrap(poses[:, 2])
+    return dataclasses.replace(
+        second,
+        poses=poses,
+        T_map_base=np.concatenate([first.T_map_base, second.T_map_base[1:]]),
+        length=first.length + second.length,
+    )
+
+
+def _alone(out: BasePath, on: BasePath) -> BasePath:
+    """The way out, which leads to no goal."""
+    return dataclasses.replace(out, complete=False, reason=on.reason, goal=on.goal)

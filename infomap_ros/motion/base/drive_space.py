@@ -1,26 +1,197 @@
-"""Where a vehicle can stand and drive on a terrain, found out as it is asked."""
+"""Where a vehicle can stand and drive on a terrain, found out as it is asked, and its motions."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import maximum_filter
+from ompl import base as ob
 
+from infomap_ros.geometry.config import check_config, parameter, setting
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping.terrain.terrain import Terrain
-from infomap_ros.motion.base import drive_kernels, drive_points
-from infomap_ros.motion.base.base_path import BasePath, BasePlannerConfig
+from infomap_ros.motion.base import drive_graph
 from infomap_ros.motion.base.drive_graph import (
     HEADINGS,
     IN_PLACE,
-    DriveGraph,
     arc_moves,
+    arc_points,
+    drive_cost,
     empty_graph,
 )
-from infomap_ros.motion.base.stance import Ground, TerrainArrays, VehicleArrays
+from infomap_ros.motion.base.stance import Ground
 from infomap_ros.motion.base.vehicle import Vehicle, terrain_arrays
+
+
+@dataclass(frozen=True)
+class BasePlannerConfig:
+    """How a way of the base is looked for.
+
+    Raises:
+        ConfigError: a value is out of its range.
+    """
+
+    samples: int = setting(
+        2000,
+        "Random places that OMPL tries for a path better than the lattice's; 0 to drive that.",
+        low=0,
+        high=10**9,
+    )
+    reach: float = setting(
+        1.0, "Longest motion by which OMPL's trees grow.", unit="m", low=0.05, high=100.0
+    )
+    reverse: bool = parameter(True, "Whether the robot may drive backwards.")
+    turning_radius: float = parameter(
+        0.0, "Smallest radius on which the robot turns; 0 if it turns in place.", unit="m", low=0.0,
+        high=50.0,
+    )  # fmt: skip
+    turn_cost: float = setting(
+        0.2, "Length that a turn by one radian counts as.", unit="m/rad", low=0.0, high=0.35
+    )
+    escape: float = setting(
+        0.25, "A robot that stands where it should not may leave over up to this distance.",
+        unit="m", low=0.0, high=5.0,
+    )  # fmt: skip
+    standing_reach: ClassVar[float] = 0.2
+    """Ground within this of the body counts as known because the robot stands there [m]."""
+
+    def __post_init__(self) -> None:
+        check_config(self)
+
+
+@dataclass(frozen=True, eq=False)
+class BasePath:
+    """A way of the base: turns in place and straight lines, forwards or backwards.
+
+    Attributes:
+        poses: x, y [m] and yaw [rad] in the map, shape (K, 3), never more than a cell of the
+            terrain or `TURN_STEP` apart, yaw continuous; empty where the robot
+            cannot move at all.
+        T_map_base: how it stands at each, shape (K, 4, 4).
+        length: [m].
+        complete: whether it leads to a goal; else it is the farthest safe approach.
+        reason: why it is not complete, in words; empty where it is.
+        goal: index of the goal that it leads or comes nearest to; -1 for none.
+        method: what found it: ompl, lattice, or nothing.
+    """
+
+    poses: FloatArray
+    T_map_base: FloatArray
+    length: float
+    complete: bool
+    reason: str
+    goal: int
+    method: str
+
+    @property
+    def turning(self) -> float:
+        """Sum of all turns [rad]."""
+        return float(np.abs(np.diff(self.poses[:, 2])).sum()) if len(self.poses) else 0.0
+
+
+_IN_PLACE = 1e-3  # [m]; radius at which the curves of Reeds and Shepp are turns in place
+
+
+class Turns:
+    """A vehicle that turns in place: turn, drive straight, turn.
+
+    Attributes:
+        reach: distance of nodes by which a place joins the graph [m].
+    """
+
+    def __init__(self, config: BasePlannerConfig, edge: float) -> None:
+        self._config = config
+        self.reach = edge
+
+    def cost(self, a: FloatArray, b: FloatArray) -> float:
+        """Cost of the way from a to b, shape (3,) each [m]."""
+        return float(drive_cost(a, b, self._config.reverse, self._config.turn_cost))
+
+    def join(self, a: FloatArray, b: FloatArray) -> FloatArray:
+        """The way from a to b, both included, shape (K, 3)."""
+        return np.stack([a, b])
+
+    def chain(self, places: FloatArray) -> FloatArray:
+        """The way through nodes that follow each other in the graph, shape (N, 3) -> (K, 3)."""
+        return places
+
+    def state_space(self) -> Any:
+        """OMPL's space of these ways, without bounds: curves whose radius vanishes."""
+        return _curves(_IN_PLACE, self._config.reverse)
+
+
+class Curves:
+    """A vehicle with a smallest radius: the curves of Reeds and Shepp, or of Dubins forwards.
+
+    https://doi.org/10.2140/pjm.1990.145.367, https://doi.org/10.2307/2372560
+    """
+
+    def __init__(self, config: BasePlannerConfig, edge: float) -> None:
+        self._spacing, self._turn_cost = edge, config.turn_cost / config.turning_radius
+        self._radius, self._reverse = config.turning_radius, config.reverse
+        self._space = self.state_space()
+        bounds = ob.RealVectorBounds(2)
+        bounds.setLow(-1e6)
+        bounds.setHigh(1e6)
+        self._space.setBounds(bounds)
+        self.reach = 1.5 * config.turning_radius + edge
+
+    def cost(self, a: FloatArray, b: FloatArray) -> float:
+        """See `Turns`; as if all of it were curved."""
+        distance = float(self._space.distance(self._state(a), self._state(b)))
+        return distance * (1.0 + self._turn_cost)
+
+    def join(self, a: FloatArray, b: FloatArray) -> FloatArray:
+        """See `Turns`."""
+        first, last, between = self._state(a), self._state(b), self._space.allocState()
+        count = max(1, math.ceil(self._space.distance(first, last) / self._spacing))
+        way = np.empty((count + 1, 3))
+        for n in range(count + 1):
+            self._space.interpolate(first, last, n / count, between)
+            way[n] = between.getX(), between.getY(), between.getYaw()
+        return way
+
+    def chain(self, places: FloatArray) -> FloatArray:
+        """See `Turns`."""
+        parts = [arc_points(a, b, self._spacing)[1:] for a, b in pairwise(places)]
+        return np.concatenate([places[:1], *parts])
+
+    def state_space(self) -> Any:
+        """See `Turns`."""
+        return _curves(self._radius, self._reverse)
+
+    def _state(self, place: FloatArray) -> Any:
+        return state_of(self._space, place)
+
+
+def _curves(radius: float, reverse: bool) -> Any:
+    """OMPL's space of the shortest curves of a radius [m]."""
+    return (ob.ReedsSheppStateSpace if reverse else ob.DubinsStateSpace)(radius)
+
+
+def state_of(space: Any, place: FloatArray) -> Any:
+    """OMPL's state of x, y, yaw, shape (3,), in a space."""
+    state = space.allocState()
+    state.setXY(float(place[0]), float(place[1]))
+    state.setYaw(float((place[2] + np.pi) % (2.0 * np.pi) - np.pi))
+    return state
+
+
+Links = Turns | Curves
+"""Ways between two places for one kind of vehicle."""
+
+
+def links_for(config: BasePlannerConfig, edge: float) -> Links:
+    """Links of the vehicle that a configuration describes, for cells of this edge [m]."""
+    return Turns(config, edge) if config.turning_radius == 0.0 else Curves(config, edge)
+
+
+TURN_LENGTH = 0.2
+"""What a turn counts beside a length [m/rad]."""
 
 TURN_STEP = 2.0 * np.pi / 32.0
 """No turn goes farther without a stance being asked [rad]: half the step of the lattice."""
@@ -33,16 +204,9 @@ class DriveSpace:
         terrain: the ground.
         vehicle: the robot.
         config: of the planner.
-        known: what was found out before; where the ground is the same it still holds.
     """
 
-    def __init__(
-        self,
-        terrain: Terrain,
-        vehicle: Vehicle,
-        config: BasePlannerConfig,
-        known: DriveSpace | None = None,
-    ) -> None:
+    def __init__(self, terrain: Terrain, vehicle: Vehicle, config: BasePlannerConfig) -> None:
         self.terrain, self.vehicle, self.config = terrain, vehicle, config
         self.grid = np.array([*terrain.origin, terrain.resolution, TURN_STEP])
         arrays = terrain_arrays(terrain, vehicle.config)
@@ -50,12 +214,10 @@ class DriveSpace:
         in_place = config.turning_radius == 0.0
         self.arcs = IN_PLACE if in_place else arc_moves(config.turning_radius / self.grid[2])
         self.graph = empty_graph(terrain.heights.shape, in_place)
-        if known is not None:
-            carry_over(known.graph, self.graph, known.ground, self.ground)
 
     def without_margin(self) -> DriveSpace:
         """The same ground for the vehicle as it is, kept from nothing by a margin."""
-        return DriveSpace(self.terrain, self.vehicle.without_margin(), self.config)
+        return DriveSpace(self.terrain, self.vehicle.without_margin, self.config)
 
     def stands(self, place: FloatArray) -> bool:
         """Whether the robot may stand at x, y, yaw."""
@@ -69,7 +231,7 @@ class DriveSpace:
             steps: stances to a cell's length, and to a step of the headings.
         """
         fault, spacing, angle = np.empty(3), self.grid[2] / steps, self.grid[3] / steps
-        good = drive_kernels.drives_well(
+        good = drive_graph.drives_well(
             places, self.config.reverse, spacing, angle, self.ground, fault
         )
         return None if good else fault
@@ -91,18 +253,15 @@ class DriveSpace:
         reasons = []
         for index in range(len(goals)):
             own = np.flatnonzero(owner == index)
-            bad = "" if good[own].any() else self._reason_at(places[own[0]])
+            bad = "" if good[own].any() else self.vehicle.refusal(self.terrain, places[own[0]])
             reasons.append(bad and f"goal: {bad}")
         return places[good], owner[good], reasons
-
-    def _reason_at(self, place: FloatArray) -> str:
-        return self.vehicle.stance(self.terrain, *(float(value) for value in place)).reason
 
     def in_steps(self, way: FloatArray) -> FloatArray:
         """A way in the steps in which it is asked and driven, shape (K, 3) -> (N, 3)."""
         config, poses = self.config, np.array(way)
         if config.turning_radius == 0.0:
-            poses = drive_points.points_along(poses, config.reverse, self.grid[2], self.grid[3])
+            poses = drive_graph.points_along(poses, config.reverse, self.grid[2], self.grid[3])
         return poses
 
     def finished(self, way: FloatArray, goal: int, method: str, reason: str = "") -> BasePath:
@@ -116,6 +275,13 @@ class DriveSpace:
     def nowhere(self, reason: str) -> BasePath:
         """No way at all."""
         return BasePath(np.zeros((0, 3)), np.zeros((0, 4, 4)), 0.0, False, reason, -1, "nothing")
+
+
+def apart(places: FloatArray, place: FloatArray) -> FloatArray:
+    """How far places x, y, yaw, shape (K, 3), are from one, shape (3,) [m], turns as lengths."""
+    turns = np.abs((places[:, 2] - place[2] + np.pi) % (2.0 * np.pi) - np.pi)
+    away = np.hypot(places[:, 0] - place[0], places[:, 1] - place[1])
+    return np.asarray(away + TURN_LENGTH * turns)
 
 
 def standing_on(poses: FloatArray, stances: FloatArray) -> FloatArray:
@@ -146,74 +312,3 @@ def _planar(poses: FloatArray) -> FloatArray:
     transforms[:, 1, 0], transforms[:, 1, 1] = sin, cos
     transforms[:, :2, 3] = poses[:, :2]
     return transforms
-
-
-_BESIDE = 3  # cells beyond the body that a stance in a cell, or half-way to the next, depends on
-_GRIDS = TerrainArrays._fields[:-3]
-
-
-def carry_over(old: DriveGraph, new: DriveGraph, before: Ground, now: Ground) -> None:
-    """Copy the answers for cells around which the ground is the same, for the same vehicle.
-
-    Args:
-        old: a graph of the ground before.
-        new: a graph of the ground now; its nodes, turns and moves are filled.
-        before: the ground of `old`.
-        now: the ground of `new`.
-    """
-    shift = _shift_between(before.terrain, now.terrain)
-    if shift is None or not _same_vehicle(before.vehicle, now.vehicle):
-        return
-    there, here = _overlap(old.nodes.shape[:2], new.nodes.shape[:2], shift)
-    changed = np.ones(new.nodes.shape[:2], np.bool_)
-    changed[here] = _differ(before.terrain, now.terrain, there, here)
-    reach = math.ceil(now.vehicle.reach / now.terrain.resolution) + _BESIDE
-    changed = maximum_filter(changed, 2 * reach + 1, mode="constant", cval=True)
-    keep = ~changed[here]
-    # Arcs reach beyond the cells from which they begin; they are asked again.
-    in_place = new.rights.size == 1 == old.rights.size
-    tables = ("nodes", "turns", "moves") if in_place else ("nodes", "moves")
-    for name in tables:
-        getattr(new, name)[here][keep] = getattr(old, name)[there][keep]
-
-
-def _shift_between(before: TerrainArrays, now: TerrainArrays) -> tuple[int, int] | None:
-    """Cell of `now` in which cell (0, 0) of `before` lies; None where their cells differ."""
-    if before.resolution != now.resolution:
-        return None
-    cells = np.array([before.x - now.x, before.y - now.y]) / now.resolution
-    whole = np.round(cells)
-    if np.abs(cells - whole).max() > 1e-6:
-        return None
-    return int(whole[0]), int(whole[1])
-
-
-def _same_vehicle(one: VehicleArrays, other: VehicleArrays) -> bool:
-    return all(np.array_equal(getattr(one, n), getattr(other, n)) for n in one._fields)
-
-
-Part = tuple[slice, slice]
-
-
-def _overlap(
-    old: tuple[int, ...], new: tuple[int, ...], shift: tuple[int, int]
-) -> tuple[Part, Part]:
-    """The cells that both grids have, as parts of the old and of the new one."""
-    low = [max(0, offset) for offset in shift]
-    high = [max(low[k], min(new[k], old[k] + shift[k])) for k in range(2)]
-    there = (
-        slice(low[0] - shift[0], high[0] - shift[0]),
-        slice(low[1] - shift[1], high[1] - shift[1]),
-    )
-    return there, (slice(low[0], high[0]), slice(low[1], high[1]))
-
-
-def _differ(
-    before: TerrainArrays, now: TerrainArrays, there: Part, here: Part
-) -> NDArray[np.bool_]:
-    """Cells of the overlap in which any grid differs."""
-    differ = np.zeros(getattr(now, _GRIDS[0])[here].shape, np.bool_)
-    for name in _GRIDS:
-        a, b = getattr(before, name)[there], getattr(now, name)[here]
-        differ |= (a != b) & ~(np.isnan(a) & np.isnan(b))
-    return differ

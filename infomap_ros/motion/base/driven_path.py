@@ -23,9 +23,8 @@ from ompl import geometric as og
 from ompl import util
 
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.motion.base.drive_kernels import legs_of
-from infomap_ros.motion.base.drive_links import Links, state_of
-from infomap_ros.motion.base.drive_space import DriveSpace
+from infomap_ros.motion.base.drive_graph import legs_of
+from infomap_ros.motion.base.drive_space import DriveSpace, Links, state_of
 
 _SEED = 1
 _TREES = 2  # searches by RRT-Connect, each within what the best path so far leaves

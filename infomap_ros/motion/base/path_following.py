@@ -2,11 +2,13 @@
 
 Pure pursuit after R. C. Coulter, Implementation of the Pure Pursuit Path Tracking Algorithm,
 CMU-RI-TR-92-01 (1992): steer along the circle through the point of the path that is one look-ahead
-distance away.
+distance away. `PathDriving` limits accelerations and notices a base that is stuck; how long a drive
+takes is found with the same control.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import ClassVar
@@ -211,3 +213,115 @@ def _aim(points: FloatArray, place: FloatArray, look_ahead: float) -> tuple[floa
     segment = int(np.searchsorted(ends, wanted))
     back = (ends[segment] - wanted) / lengths[segment]
     return float(ends[-1] - wanted), points[segment + 1] - back * steps[segment]
+
+
+_STUCK_AFTER = 4.0  # [s] of driving without progress
+_PROGRESS = (0.02, 0.05)  # [m, rad]; more than the noise of a pose
+_SMALL = 1e-6  # [m/s or rad/s]
+
+
+class PathDriving:
+    """Follows one path at a time with limited acceleration.
+
+    Args:
+        config: the limits.
+
+    Attributes:
+        problem: why the path was given up; empty where it was not.
+    """
+
+    def __init__(self, config: PathFollowingConfig) -> None:
+        self._config = config
+        self._follower: PathFollower | None = None
+        self._speed = self._turn_rate = 0.0
+        self._mark: FloatArray | None = None
+        self._waited = 0.0
+        self.problem = ""
+
+    @property
+    def done(self) -> bool:
+        """Whether the path has been followed to its end, or left, and the base told to stand."""
+        arrived = self._follower is None or self._follower.done
+        return arrived and max(abs(self._speed), abs(self._turn_rate)) < _SMALL
+
+    def follow(self, poses: FloatArray) -> None:
+        """Begin a path: x, y [m], yaw [rad], shape (K, 3).
+
+        Raises:
+            InvalidInputError: as `PathFollower`.
+        """
+        self._follower = PathFollower(poses, self._config)
+        self._mark, self._waited, self.problem = None, 0.0, ""
+
+    def stop(self) -> None:
+        """Leave the path and slow down."""
+        self._follower = None
+
+    def stand(self) -> None:
+        """The base stands: leave the path, and begin the next one from rest."""
+        self._follower, self._speed, self._turn_rate = None, 0.0, 0.0
+
+    def velocity(self, pose: FloatArray, period: float) -> tuple[float, float]:
+        """Next forward speed [m/s] and turn rate [rad/s].
+
+        Args:
+            pose: x, y [m], yaw [rad] of the base now, shape (3,).
+            period: since the velocity before [s].
+        """
+        wanted = (0.0, 0.0) if self._follower is None else self._follower.velocity(pose)
+        self._watch(pose, wanted, period)
+        if self.problem:
+            self.stand()
+            return 0.0, 0.0
+        config = self._config
+        self._speed = _towards(self._speed, wanted[0], config.acceleration * period)
+        self._turn_rate = _towards(self._turn_rate, wanted[1], config.turn_acceleration * period)
+        return self._speed, self._turn_rate
+
+    def _watch(self, pose: FloatArray, wanted: tuple[float, float], period: float) -> None:
+        """Notice that the base should move and does not."""
+        if self._mark is None or wanted == (0.0, 0.0) or self._has_moved(pose - self._mark):
+            self._mark, self._waited = np.array(pose), 0.0
+            return
+        self._waited += period
+        if self._waited > _STUCK_AFTER:
+            self.problem = f"the base is stuck at x {pose[0]:.2f}, y {pose[1]:.2f}"
+
+    def _has_moved(self, change: FloatArray) -> bool:
+        way, turn = float(np.linalg.norm(change[:2])), abs(wrap(float(change[2])))
+        return way > _PROGRESS[0] or turn > _PROGRESS[1]
+
+
+def _towards(value: float, wanted: float, change: float) -> float:
+    return value + float(np.clip(wanted - value, -change, change))
+
+
+_PERIOD = 0.05  # [s] of the control; half of it changes the time by less than one percent
+_LAG = 0.5  # [s] of wheels behind what they are told, and until odometry shows that they rest
+_SLOWEST = 0.02  # share of the largest speeds below which nothing is driven for long
+
+
+def drive_seconds(path: FloatArray, config: PathFollowingConfig) -> float:
+    """Time from rest to rest of a base that follows a path as told, but for a lag [s].
+
+    Args:
+        path: x, y [m] and yaw [rad], shape (K, 3); without length it takes no time.
+        config: speeds and accelerations.
+    """
+    if len(path) < 2:
+        return 0.0
+    driving, pose, seconds = PathDriving(config), np.array(path[0]), 0.0
+    driving.follow(path)
+    length = float(np.hypot(*np.diff(path[:, :2], axis=0).T).sum())
+    turning = float(np.abs(np.diff(path[:, 2])).sum())
+    longest = 10.0 + (length / config.max_speed + turning / config.max_turn_rate) / _SLOWEST
+    while seconds < longest:
+        speed, turn_rate = driving.velocity(pose, _PERIOD)
+        if driving.done or driving.problem:
+            break
+        middle = pose[2] + 0.5 * turn_rate * _PERIOD
+        pose[0] += speed * _PERIOD * math.cos(middle)
+        pose[1] += speed * _PERIOD * math.sin(middle)
+        pose[2] += turn_rate * _PERIOD
+        seconds += _PERIOD
+    return seconds + _LAG

@@ -1,4 +1,4 @@
-"""Ground that is known because the robot stands, or has stood, on it.
+"""Ground that is known because the robot stands, or has stood, on it, or began there.
 
 A robot never sees what is under it. Without this it could not leave its first place, as unknown
 ground is not driven on.
@@ -7,24 +7,28 @@ ground is not driven on.
 from __future__ import annotations
 
 import dataclasses
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from infomap_ros.errors import InvalidInputError
-from infomap_ros.geometry import check_transform, float_array
+from infomap_ros.geometry import Cylinder, PlacedSolid, check_transform, make_transform
 from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.mapping import VoxelMap
 from infomap_ros.mapping.terrain.measures import largest_steps
-from infomap_ros.mapping.terrain.terrain import Terrain
+from infomap_ros.mapping.terrain.terrain import Terrain, TerrainConfig, terrain_of
 from infomap_ros.motion.base.vehicle import Vehicle
+from infomap_ros.motion.robot.robot_model import RobotModel
+from infomap_ros.motion.robot.solid_extent import camera_heights, robot_bottom
 
 _FLATTEST = 0.2  # cosine of the steepest plane that is taken for ground
 
 
 def with_standing_ground(
-    terrain: Terrain, vehicle: Vehicle, T_map_bases: ArrayLike, reach: float = 0.2
+    terrain: Terrain, vehicle: Vehicle, T_map_base: ArrayLike, reach: float = 0.2
 ) -> Terrain:
-    """Declare the ground under poses in which the robot stands or has stood as known.
+    """Declare the ground under a pose in which the robot stands or has stood as known.
 
     Cells under the body and between the wheels get the plane of the wheels, and so do those around
     that have no ground, unless something stands there that is higher than a step. Other cells with
@@ -34,25 +38,45 @@ def with_standing_ground(
     Args:
         terrain: the ground as the map shows it.
         vehicle: the robot, its joints as they are.
-        T_map_bases: shape (4, 4) or (P, 4, 4).
+        T_map_base: shape (4, 4).
         reach: how far around the body this holds [m].
 
     Returns:
         A changed copy. It is as large as `terrain`: what lies beyond its edge is lost.
 
     Raises:
-        InvalidInputError: not rigid transforms.
+        InvalidInputError: not a rigid transform, or one that is tilted too far to stand.
     """
-    poses = float_array(T_map_bases, "T_map_bases")
-    if poses.ndim not in (2, 3) or poses.shape[-2:] != (4, 4):
-        raise InvalidInputError("T_map_bases", f"shape {poses.shape}, expected (P, 4, 4)")
     names = ("heights", "sigma", "roughness", "step", "floor", "overhead", "seen")
     changed = dataclasses.replace(terrain, **{n: getattr(terrain, n).copy() for n in names})
-    for pose in poses.reshape(-1, 4, 4):
-        _declare(changed, vehicle, check_transform(pose, "T_map_bases"), reach)
+    _declare(changed, vehicle, check_transform(T_map_base, "T_map_base"), reach)
     # Ground that has gone made steps of what is beside it, too.
-    largest_steps(changed.heights, changed.sigma, changed.step)
+    largest_steps(changed.heights, changed.sigma, changed.resolution, changed.step)
     return changed
+
+
+def known_ground(
+    voxel_map: VoxelMap,
+    config: TerrainConfig,
+    vehicle: Vehicle,
+    T_map_base: FloatArray,
+    start: ClearStart | None,
+    reach: float,
+) -> Terrain:
+    """The ground about a robot as its map shows it, with that on which it stands or began.
+
+    Args:
+        voxel_map: what is known.
+        config: of the terrain.
+        vehicle: the robot, its joints as they are when it drives.
+        T_map_base: where it stands, shape (4, 4).
+        start: the space that was declared clear.
+        reach: how far around the body the ground is known [m].
+    """
+    terrain = terrain_of(voxel_map, config, T_map_base[:3, 3])
+    if start is not None:
+        terrain = start.ground(terrain, vehicle)
+    return with_standing_ground(terrain, vehicle, T_map_base, reach)
 
 
 def _declare(terrain: Terrain, vehicle: Vehicle, T_map_base: FloatArray, reach: float) -> None:
@@ -63,7 +87,7 @@ def _declare(terrain: Terrain, vehicle: Vehicle, T_map_base: FloatArray, reach: 
     top = max(float(arrays.columns[:, 3].max(initial=z)), z)
     up = T_map_base[:3, 2]
     if up[2] < _FLATTEST:
-        raise InvalidInputError("T_map_bases", "a robot that stands is not tilted by 78 degrees")
+        raise InvalidInputError("T_map_base", "a robot that stands is not tilted by 78 degrees")
     cells = np.argwhere(np.ones(terrain.heights.shape, np.bool_))
     middle = terrain.centers_of(cells)
     # Heights of the wheels' plane at the cells' middles, then those places in the base frame.
@@ -119,3 +143,34 @@ def _covers(extent: FloatArray, places: FloatArray, margin: float) -> NDArray[np
     """Which places, shape (N, 2), lie in the box about points, shape (M, 2), and a margin [m]."""
     low, high = extent.min(axis=0) - margin, extent.max(axis=0) + margin
     return np.asarray(((places >= low) & (places <= high)).all(axis=1))
+
+
+_ABOVE = 0.1  # the highest camera [m]
+
+
+@dataclass(frozen=True, eq=False)
+class ClearStart:
+    """Space about the first place of the base that is declared clear, and its ground even.
+
+    A robot sees neither the ground under and next to it nor the space about its arm. Without such
+    a declaration it could move nothing. What the map knows there counts for more.
+
+    Attributes:
+        T_map_base: first pose of the base, shape (4, 4).
+        radius: about the base's origin [m].
+    """
+
+    T_map_base: FloatArray
+    radius: float
+
+    def space(self, robot: RobotModel) -> PlacedSolid:
+        """The clear space: from the ground to above the highest camera, map frame."""
+        height = camera_heights(robot)[1] + _ABOVE
+        center = make_transform(np.eye(3), (0.0, 0.0, robot_bottom(robot) + 0.5 * height))
+        return PlacedSolid(Cylinder(self.radius, height), self.T_map_base @ center, "start")
+
+    def ground(self, terrain: Terrain, vehicle: Vehicle) -> Terrain:
+        """The terrain with the plane of the wheels where the map knows no ground."""
+        extent = np.abs(vehicle.undercarriage.outline).max()
+        reach = max(self.radius - float(extent), 0.0)
+        return with_standing_ground(terrain, vehicle, self.T_map_base, reach)

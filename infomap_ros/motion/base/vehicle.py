@@ -6,54 +6,133 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import degrees
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from infomap_ros.errors import InvalidInputError
+from infomap_ros.errors import ConfigError, InvalidInputError
 from infomap_ros.geometry import PlacedSolid, float_array
+from infomap_ros.geometry.config import check_config, parameter, setting
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.mapping.terrain.measures import SURE
+from infomap_ros.mapping.terrain.measures import CUBE_SIGMA, SURE
 from infomap_ros.mapping.terrain.terrain import Terrain
 from infomap_ros.motion.base import stance as kernels
-from infomap_ros.motion.base.body_columns import body_columns, off_the_ground
 from infomap_ros.motion.base.stance import TerrainArrays, VehicleArrays
-from infomap_ros.motion.base.undercarriage import Undercarriage, footprint_of, wheels_of
-from infomap_ros.motion.base.vehicle_config import VehicleConfig
-from infomap_ros.motion.robot.mass import mass_of
+from infomap_ros.motion.base.undercarriage import (
+    Undercarriage,
+    body_columns,
+    center_of_mass,
+    footprint_of,
+    off_the_ground,
+    wheels_of,
+)
 from infomap_ros.motion.robot.robot_model import RobotModel
+
+_STEP_SHARE = 0.75  # of a wheel's radius that it climbs
+
+
+@dataclass(frozen=True)
+class VehicleConfig:
+    """Limits of the ground that a vehicle stands and drives on.
+
+    Raises:
+        ConfigError: a value is out of its range, or a footprint comes without `max_step`.
+    """
+
+    wheel_links: str = parameter(
+        "*_wheel,wheel_*,*caster*",
+        "Links that are wheels or casters: file-name patterns, separated by commas. Links without "
+        "a collision shape are left out.",
+    )
+    footprint: tuple[float, ...] = parameter(
+        (),
+        "Corners x0, y0, x1, y1, ... on which a robot rests whose wheels are not to be read from "
+        "its description, base frame. Empty for the wheels.",
+        unit="m",
+    )
+    ground_height: float = parameter(
+        0.0, "Height of the ground in the base frame, for a footprint.", unit="m", low=-10.0,
+        high=10.0,
+    )  # fmt: skip
+    suspension_travel: float = setting(
+        0.03, "How far a wheel may be above or below the plane of all wheels.", unit="m", low=0.0,
+        high=1.0,
+    )  # fmt: skip
+    max_slope: float = parameter(
+        0.44, "Steepest plane of the wheels (25 degrees).", unit="rad", low=0.0, high=1.5
+    )
+    max_step: float = parameter(
+        0.0,
+        "Highest step along 0.1 m under a wheel; 0 for three quarters of the smallest "
+        "wheel's radius.",
+        unit="m",
+        low=0.0,
+        high=1.0,
+    )
+    max_roughness: float = setting(
+        0.03, "Largest roughness of the ground under a wheel.", unit="m", low=0.0, high=1.0
+    )
+    min_tip_margin: float = setting(
+        0.25, "Smallest angle by which it must turn to fall over.", unit="rad", low=0.0, high=1.5
+    )
+    margin: float = setting(
+        0.02,
+        "Growth of the body against ground and obstacles where its pose is known exactly.",
+        unit="m",
+        low=0.0,
+        high=1.0,
+    )
+    margin_sigmas: float = setting(
+        2.0,
+        "So many standard deviations of where it is are added to the margin to the sides, in "
+        "squares.",
+        low=0.0,
+        high=10.0,
+    )
+    max_margin: float = setting(
+        0.08, "The margin to the sides grows no further than this.", unit="m", low=0.0, high=1.0
+    )
+    seen_height: float = parameter(
+        0.8,
+        "Space over known ground must have been seen up to this height, if the body is so high, "
+        "before the base enters it. What is higher, as about the head of a tall robot, need not: "
+        "hardly anything is there where the floor is free up to the height of a table, and the "
+        "camera looks ahead while the base drives. 0: nothing must have been seen.",
+        unit="m",
+        low=0.0,
+        high=10.0,
+    )
+    column_spacing: ClassVar[float] = 0.05
+    """Edge of the squares into which the body is divided [m]."""
+
+    def __post_init__(self) -> None:
+        check_config(self)
+        if self.footprint and self.max_step == 0.0:
+            raise ConfigError("max_step", self.max_step, "more than 0 m where a footprint is given")
+
+    def limits_for(self, radius: float) -> FloatArray:
+        """As `infomap_ros.motion.base.stance.VehicleArrays` holds them, shape (6,).
+
+        Args:
+            radius: of the smallest wheel [m].
+        """
+        return np.array(
+            [
+                self.suspension_travel,
+                self.max_slope,
+                self.max_step or _STEP_SHARE * radius,
+                self.max_roughness,
+                self.min_tip_margin,
+                float(self.seen_height == 0.0),
+            ]
+        )
+
 
 _STEP = 2  # of VehicleConfig.limits_for
 _NOISE = 1.5  # by which the ground may seem worse than it was when the route was planned
 _ABOVE = (kernels.TOUCHES_OBSTACLE, kernels.UNSEEN)  # for which the upper end of a column decides
 _OF_BODY = (*_ABOVE, kernels.TOUCHES_GROUND, kernels.UNKNOWN_BODY)
-
-
-@dataclass(frozen=True)
-class Stance:
-    """How the robot stands at one place.
-
-    Attributes:
-        T_map_base: pose of the base, shape (4, 4); NaN where the ground is unknown.
-        ok: whether it may stand there.
-        reason: why not, in words; empty where it may.
-        tip_margin: angle by which it must turn to fall over [rad].
-        slope: of the plane of all wheels [rad].
-        step: largest step under a wheel [m].
-        roughness: largest roughness under a wheel [m].
-        clearance: of the body above ground [m], beyond the margin; measured last.
-
-    Measures that were not reached before the stance was refused are NaN.
-    """
-
-    T_map_base: FloatArray
-    ok: bool
-    reason: str
-    tip_margin: float
-    slope: float
-    step: float
-    roughness: float
-    clearance: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +164,6 @@ class Vehicle:
         config: limits of what it drives on.
         joint_positions: of all its joints [rad or m].
         undercarriage: wheels and support polygon.
-        mass: [kg].
         arrays: for kernels.
         wider: by so much the body is taken for wider to all sides [m].
     """
@@ -94,7 +172,6 @@ class Vehicle:
     config: VehicleConfig
     joint_positions: Mapping[str, float]
     undercarriage: Undercarriage
-    mass: float
     arrays: VehicleArrays
     wider: float = 0.0
 
@@ -139,18 +216,17 @@ class Vehicle:
         columns = np.concatenate(
             [columns, _wheel_columns(solids, wheels, carriage, settings, wider)]
         )
-        mass, center = mass_of(robot, joints)
         arrays = VehicleArrays(
             carriage.centers,
             np.ascontiguousarray(carriage.contacts),
             columns,
             _inside_polygon(columns[:, :2], carriage.outline),
             carriage.support,
-            center,
+            center_of_mass(robot, joints),
             _reach(columns, carriage, settings.max_slope),
             limits,
         )
-        return cls(robot, settings, joints, carriage, mass, arrays, wider)
+        return cls(robot, settings, joints, carriage, arrays, wider)
 
     def with_joints(self, joint_positions: Mapping[str, float]) -> Vehicle:
         """The same vehicle with some joints elsewhere [rad or m]: other outline, other balance."""
@@ -158,61 +234,43 @@ class Vehicle:
             self.robot, self.config, {**self.joint_positions, **joint_positions}, self.wider
         )
 
+    @cached_property
     def without_margin(self) -> Vehicle:
         """The same vehicle, its body no larger than it is."""
-        return self._bare
-
-    def under_way(self) -> Vehicle:
-        """The same vehicle as the check of a route takes it: what was planned stays good enough.
-
-        Its body is no larger than it is, and ground may be rougher by what noise makes of it.
-        """
-        return self._under_way
-
-    @cached_property
-    def _bare(self) -> Vehicle:
         config = replace(self.config, margin=0.0)
         return Vehicle.from_robot(self.robot, config, self.joint_positions)
 
     @cached_property
-    def _under_way(self) -> Vehicle:
+    def under_way(self) -> Vehicle:
+        """The same vehicle as the check of a route takes it: what was planned stays good enough.
+
+        Its body is no larger than it is, ground may be rougher by its noise, a step as high as a
+        wheel's radius.
+        """
         config = replace(
             self.config,
             margin=0.0,
-            max_step=_NOISE * float(self.arrays.limits[_STEP]),
+            max_step=float(self.arrays.limits[_STEP]) / _STEP_SHARE,
             max_roughness=_NOISE * self.config.max_roughness,
             min_tip_margin=self.config.min_tip_margin / _NOISE,
         )
         return Vehicle.from_robot(self.robot, config, self.joint_positions)
 
-    def stance(
-        self, terrain: Terrain, x: float, y: float, yaw: float, q: ArrayLike | None = None
-    ) -> Stance:
-        """How the robot stands with its base at (x, y) [m, map], heading `yaw` [rad].
+    def refusal(self, terrain: Terrain, place: FloatArray, q: ArrayLike | None = None) -> str:
+        """Why the robot may not stand at a place, in words; empty where it may.
 
         Args:
             terrain: the ground.
-            x: of the base's origin [m, map].
-            y: of the base's origin [m, map].
-            yaw: heading of the base's x axis [rad].
+            place: x, y [m, map] and yaw [rad] of the base, shape (3,).
             q: positions of the arm, shape (n,) as of `robot.arm`, for the balance alone; the
                 body's outline stays that of the vehicle's own posture.
         """
-        batch = self.stances(terrain, np.array([[x, y, yaw]]), q)
-        measures = batch.measures[0]
+        batch = self.stances(terrain, np.asarray(place)[None], q)
         outcome = int(batch.outcomes[0])
-        reason = self._in_words(outcome, measures, batch.T_map_base[0])
-        closed = "" if outcome == kernels.STANDS else self.closed_at(terrain, x, y, yaw)
-        return Stance(
-            T_map_base=batch.T_map_base[0],
-            ok=outcome == kernels.STANDS,
-            reason=f"the base would stand {closed}" if closed else reason,
-            tip_margin=float(measures[kernels.TIP]),
-            slope=float(measures[kernels.SLOPE]),
-            step=float(measures[kernels.STEP]),
-            roughness=float(measures[kernels.ROUGHNESS]),
-            clearance=float(measures[kernels.CLEARANCE]),
-        )
+        closed = "" if outcome == kernels.STANDS else self.closed_at(terrain, *place)
+        if closed:
+            return f"the base would stand {closed}"
+        return self._in_words(outcome, batch.measures[0], batch.T_map_base[0])
 
     def closed_at(self, terrain: Terrain, x: float, y: float, yaw: float) -> str:
         """What closes the ground under a part of the body, see `Terrain.closed`; or empty."""
@@ -244,7 +302,12 @@ class Vehicle:
     def stances(
         self, terrain: Terrain, places: ArrayLike, q: ArrayLike | None = None
     ) -> StanceBatch:
-        """How the robot stands at many places (x, y, yaw), shape (N, 3); see `stance`.
+        """How the robot stands at many places.
+
+        Args:
+            terrain: the ground.
+            places: x, y [m, map] and yaw [rad] of the base, shape (N, 3).
+            q: as for `refusal`.
 
         Raises:
             InvalidInputError: `places` or `q` has another shape or is not finite.
@@ -255,7 +318,7 @@ class Vehicle:
         arrays = self.arrays
         if q is not None:
             joints = {**self.joint_positions, **self.robot.arm.by_name(q)}
-            arrays = arrays._replace(center_of_mass=mass_of(self.robot, joints)[1])
+            arrays = arrays._replace(center_of_mass=center_of_mass(self.robot, joints))
         poses = np.full((len(rows), 4, 4), np.nan)
         poses[:, 3] = (0.0, 0.0, 0.0, 1.0)
         outcomes = np.empty(len(rows), np.int64)
@@ -273,7 +336,10 @@ def terrain_arrays(terrain: Terrain, config: VehicleConfig) -> TerrainArrays:
         np.ascontiguousarray(getattr(terrain, name), dtype=np.float32)
         for name in TerrainArrays._fields[:6]
     )
-    sure = heights - SURE * terrain.sigma  # else the noise of level ground stops a low body
+    # The noise of level ground must not stop a low body. A plan spends its margin on it, no more,
+    # or the body would stand on ground that reaches up to it; the check of a route has none.
+    most = config.margin or SURE * CUBE_SIGMA * terrain.resolution
+    sure = heights - np.minimum(SURE * terrain.sigma, most)
     bottom = np.where(np.isnan(sure), np.inf, sure).astype(np.float32)
     seen = np.where(seen >= heights + config.seen_height, np.float32(np.inf), seen)
     top = np.minimum(overhead, seen)

@@ -1,27 +1,217 @@
-"""A robot as spheres on its links, for collision checks; it depends on no map."""
+"""A robot as spheres on its links, for collision checks; it depends on no map.
+
+A whole link is in its spheres, and they stick out by a bounded length. A sphere about a point at
+depth d inside a solid may have the radius d + tolerance, as it then stays within the solid grown by
+the tolerance. The solid is cut into cells, small ones near its surface and larger ones in its
+depth, so that the sphere about each cell's own center would hold the cell. Of these spheres, and
+those of the larger cells that were cut, enough are chosen that each cell is wholly in one, greedily
+the sphere that holds most cells not yet held (set cover); each is then shrunk to what it must hold.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import product
+from typing import Any, ClassVar
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
-from infomap_ros.errors import RobotModelError
-from infomap_ros.geometry import invert_transform, transform_points
+from infomap_ros.errors import ConfigError, InvalidInputError, RobotModelError
+from infomap_ros.geometry import PlacedSolid, Solid, Sphere, invert_transform, transform_points
+from infomap_ros.geometry.config import check_config, parameter, setting
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.motion.collision import kernels
-from infomap_ros.motion.collision.collision_config import CollisionConfig
 from infomap_ros.motion.collision.kernels import BodyArrays
-from infomap_ros.motion.collision.link_pairs import allowed_pairs, is_any_of, movable_pairs
-from infomap_ros.motion.collision.pair_study import TrueShapes, study_pairs
-from infomap_ros.motion.collision.sphere_cover import cover_by_spheres
+from infomap_ros.motion.collision.pair_study import (
+    TrueShapes,
+    allowed_pairs,
+    is_any_of,
+    movable_pairs,
+    study_pairs,
+)
 from infomap_ros.motion.robot.body_shapes import BodyShape
 from infomap_ros.motion.robot.chain import KinematicChain
-from infomap_ros.motion.robot.link_tree import LinkTree
-from infomap_ros.motion.robot.robot_model import RobotModel
+from infomap_ros.motion.robot.robot_model import LinkTree, RobotModel
+from infomap_ros.motion.robot.solid_extent import solid_extent
+
+
+@dataclass(frozen=True)
+class CollisionConfig:
+    """How the body is modeled and what counts as in its way.
+
+    Raises:
+        ConfigError: a value is out of its range.
+    """
+
+    tolerance: float = setting(
+        0.015,
+        "How far the spheres that cover the body may stick out of its collision shapes.",
+        unit="m",
+        low=0.001,
+        high=0.5,
+    )
+    margin: float = parameter(
+        0.01,
+        "Distance that is kept to everything where the pose is known exactly. A motion is checked "
+        "in steps in which no point of the body goes farther than twice this, so that all of it is "
+        "known to be free.",
+        unit="m",
+        low=0.0005,
+        high=0.5,
+    )
+    margin_sigmas: float = setting(
+        2.0,
+        "So many standard deviations of where the robot is are added to the margin against the "
+        "map, in squares.",
+        low=0.0,
+        high=10.0,
+    )
+    max_margin: float = setting(
+        0.03, "The margin against the map grows no further than this.", unit="m", low=0.0, high=1.0
+    )
+    free_probability: ClassVar[float] = 0.05
+    """The arm may enter voxels that are less likely occupied than this: what is free for the choice
+    of views, after two looks of the map's default model.
+    """
+    ground_links: tuple[str, ...] = setting(
+        ("*wheel*", "*caster*"),
+        "Links (patterns) that stand on the ground: they are not compared with the map, as the "
+        "planner of the base answers for where they stand.",
+    )
+    always_share: ClassVar[float] = 0.5
+    """Links whose collision meshes touch in at least this share of random configurations touch by
+    design, or their meshes are too coarse to tell, and are not compared.
+    """
+    alarm_share: ClassVar[float] = 0.3
+    """Where the spheres of two links come too near in more than this share of random
+    configurations although the links do not touch, their distance is adapted until they mostly do
+    not.
+    """
+    samples: int = setting(500, "Number of random configurations for both.", low=50, high=100000)
+    allowed_contacts: tuple[str, ...] = parameter(
+        (), "Pairs of links (patterns) that may touch, as 'first:second'."
+    )
+
+    def __post_init__(self) -> None:
+        check_config(self)
+        for pair in self.allowed_contacts:
+            if pair.count(":") != 1:
+                raise ConfigError("allowed_contacts", pair, "two patterns, as 'first:second'")
+
+
+_CELLS = 4000
+_GROWTH = 1.25
+_SHARE = 0.5  # a cell's half diagonal in radii of the sphere about its center
+_SLACK = 1e-7  # [m]; for what the extent of a polytope and rounding leave open
+
+
+def cover_by_spheres(solid: Solid, tolerance: float) -> FloatArray:
+    """Spheres whose union holds a solid.
+
+    Args:
+        solid: a convex body.
+        tolerance: how far the spheres may stick out of the solid [m]. A solid that would need too
+            many cells for this is covered with the least larger tolerance that needs fewer.
+
+    Returns:
+        Centers in the solid's frame and radii, shape (K, 4) [m].
+
+    Raises:
+        InvalidInputError: the tolerance is not positive.
+    """
+    if not tolerance > 0.0:
+        raise InvalidInputError("tolerance", f"is {tolerance}, expected more than 0 m")
+    if isinstance(solid, Sphere):
+        return np.array([[0.0, 0.0, 0.0, solid.radius]])
+    extent = solid_extent(PlacedSolid(solid, np.eye(4)))
+    while True:
+        cut = _cut(solid, extent, tolerance)
+        if cut is not None:
+            return np.asarray(_chosen(*cut))
+        tolerance *= _GROWTH
+
+
+def _cut(
+    solid: Solid, extent: tuple[FloatArray, FloatArray], tolerance: float
+) -> tuple[FloatArray, FloatArray, FloatArray] | None:
+    """Cells (center and half diagonal, shape (N, 4)), and centers (M, 3) and radii (M,) of spheres.
+
+    None where there are too many cells.
+    """
+    low, high = extent
+    size = np.maximum(high - low, 1e-3 * tolerance) + _SLACK
+    counts = np.maximum(np.round(size / max(size.min(), tolerance)), 1).astype(int)
+    axes = [a + w * (np.arange(n) + 0.5) / n for a, w, n in zip(low, size, counts, strict=True)]
+    centers = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    edges, cells, candidates, radii = size / counts, [], [], []
+    while len(centers):
+        half = 0.5 * float(np.linalg.norm(edges)) + _SLACK
+        allowed = tolerance - solid.signed_distance(centers)
+        centers, allowed = (
+            centers[allowed >= tolerance - half],
+            allowed[allowed >= tolerance - half],
+        )
+        candidates.append(centers[allowed > 0.0])
+        radii.append(allowed[allowed > 0.0])
+        done = half <= _SHARE * allowed
+        cells.append(np.column_stack([centers[done], np.full(np.count_nonzero(done), half)]))
+        if sum(map(len, cells)) + np.count_nonzero(~done) > _CELLS:
+            return None
+        centers, edges = _halved(centers[~done], edges)
+    return np.concatenate(cells), np.concatenate(candidates), np.concatenate(radii)
+
+
+def _halved(centers: FloatArray, edges: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Cut boxes in half along their long axes; new centers, shape (N, 3), and edges, (3,)."""
+    long = edges > 0.6 * edges.max()
+    edges = np.where(long, 0.5 * edges, edges)
+    signs = [(-0.5, 0.5) if is_long else (0.0,) for is_long in long]
+    offsets = np.array(list(product(*signs))) * edges
+    return (centers[:, None] + offsets).reshape(-1, 3), edges
+
+
+@njit(cache=True, nogil=True)
+def _chosen(cells: Any, centers: Any, radii: Any) -> Any:
+    """Greedy set cover of the cells, shape (N, 4), by spheres, (M, 3) and (M,); shape (K, 4).
+
+    Of spheres that hold equally many cells, the smallest is taken.
+    """
+    count, left = len(cells), len(cells)
+    held, gains = np.zeros(count, np.bool_), np.zeros(len(radii), np.int64)
+    for m in range(len(radii)):
+        for n in range(count):
+            gains[m] += _radius_to_hold(centers[m], cells[n]) <= radii[m] + _SLACK
+    spheres = np.empty((count, 4))
+    chosen = 0
+    while left > 0:
+        best = 0
+        for m in range(1, len(radii)):
+            if gains[m] > gains[best] or (gains[m] == gains[best] and radii[m] < radii[best]):
+                best = m
+        spheres[chosen, :3], spheres[chosen, 3] = centers[best], 0.0
+        for n in range(count):
+            needed = _radius_to_hold(centers[best], cells[n])
+            if held[n] or needed > radii[best] + _SLACK:
+                continue
+            held[n] = True
+            left -= 1
+            spheres[chosen, 3] = max(spheres[chosen, 3], needed)
+            for m in range(len(radii)):
+                gains[m] -= _radius_to_hold(centers[m], cells[n]) <= radii[m] + _SLACK
+        chosen += 1
+    return spheres[:chosen].copy()
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _radius_to_hold(center: Any, cell: Any) -> float:
+    x, y, z = center[0] - cell[0], center[1] - cell[1], center[2] - cell[2]
+    return math.sqrt(x * x + y * y + z * z) + cell[3]
+
 
 _REFINEMENTS = 2
 _LOST = 0.002  # [m]
@@ -41,7 +231,6 @@ class CollisionBody:
         gaps: distance below which the links of each pair count as touching, shape (P,) [m];
             negative where their spheres overlap without harm.
         moving_links: numbers of the links that the arm moves and the map may block.
-        base_links: of those that stand still on the base, without the ground links.
     """
 
     robot: RobotModel
@@ -52,7 +241,6 @@ class CollisionBody:
     arrays: BodyArrays
     gaps: FloatArray
     moving_links: NDArray[np.int64]
-    base_links: NDArray[np.int64]
 
     @classmethod
     def from_robot(
@@ -99,16 +287,9 @@ class CollisionBody:
             tolerances[np.unique(pairs[noisy])] *= 0.5
         arrays = arrays._replace(pairs=np.ascontiguousarray(pairs[study.compared]))
         ground = np.array([is_any_of(link, settings.ground_links) for link in links], dtype=bool)
-        moves = arrays.bodies > 0
-        return cls(
-            robot, robot.arm, settings, links, tree, arrays, study.gaps[study.compared],
-            np.flatnonzero(moves & ~ground), np.flatnonzero(~moves & ~ground),
-        )  # fmt: skip
-
-    @property
-    def compared_pairs(self) -> tuple[tuple[str, str], ...]:
-        """Names of the links that are compared with each other."""
-        return tuple((self.links[a], self.links[b]) for a, b in self.arrays.pairs)
+        moving = np.flatnonzero((arrays.bodies > 0) & ~ground)
+        gaps = study.gaps[study.compared]
+        return cls(robot, robot.arm, settings, links, tree, arrays, gaps, moving)
 
     @cached_property
     def foot(self) -> NDArray[np.bool_]:

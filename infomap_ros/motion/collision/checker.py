@@ -1,113 +1,86 @@
 """Does the robot touch itself or the map?
 
-The body is covered by spheres (`sphere_cover`), which are compared with the voxels of the map
+The body is covered by spheres (`body`), which are compared with the voxels of the map
 (`mapping.distance_field`) and with each other. Both are on the safe side: what is called free is
 free of voxels that are not known to be free, and no two links touch that should not.
 
-Links that stand still on the base are compared with the map only when asked for: where the base can
-stand is the question of the planner of the base.
+Links that stand still on the base are not compared with the map: where the base can stand is the
+question of the planner of the base.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from infomap_ros.errors import InvalidInputError
-from infomap_ros.geometry import check_transform, float_array
+from infomap_ros.geometry import (
+    Box,
+    ConvexPolytope,
+    Cylinder,
+    PlacedSolid,
+    Solid,
+    Sphere,
+    check_transform,
+    float_array,
+)
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.mapping import OccupancyThresholds, VoxelMap, VoxelWindow
-from infomap_ros.mapping.distance_field import DistanceField, distance_field, field_of_blocked
-from infomap_ros.motion.base.way_kernels import first_on_way
+from infomap_ros.mapping import OccupancyThresholds, VoxelMap
+from infomap_ros.mapping.distance_field import DistanceField, distance_field
 from infomap_ros.motion.collision import kernels
 from infomap_ros.motion.collision.body import CollisionBody
-from infomap_ros.motion.collision.collision_config import CollisionConfig
-from infomap_ros.motion.collision.kernels import CLEAR, BodyArrays, MotionSpace
-from infomap_ros.motion.robot.robot_model import RobotModel
+from infomap_ros.motion.collision.kernels import CLEAR, BodyArrays, MotionSpace, first_on_way
 
 _SLACK = 1e-6  # [m]
-
-__all__ = ["CollisionBody", "CollisionChecker", "CollisionConfig", "CollisionReport"]
-
-
-@dataclass(frozen=True)
-class CollisionReport:
-    """Whether a configuration is free of collisions.
-
-    Attributes:
-        free: touches nothing.
-        what: what touches what, in words; empty if free.
-    """
-
-    free: bool
-    what: str = ""
 
 
 class CollisionChecker:
     """Compares a robot with a map and with itself. Immutable; kernels release the GIL.
 
     Args:
-        robot: the robot, or its body where that has been made before (it takes a while).
-        surroundings: the map, a window of it, or its distance field. All outside a window counts
-            as unknown.
-        config: how; that of the body where a body is given.
-        wider: by how much more than the margin the arm is to keep off what the map shows, at
-            least 0 [m].
-
-    Attributes:
         body: the robot's.
         field: the map's.
+        wider: by how much more than the margin the arm is to keep off what the map shows, at
+            least 0 [m].
     """
 
-    def __init__(
-        self,
-        robot: RobotModel | CollisionBody,
-        surroundings: VoxelMap | VoxelWindow | DistanceField,
-        config: CollisionConfig | None = None,
-        wider: float = 0.0,
-    ) -> None:
-        if isinstance(robot, RobotModel):
-            robot = CollisionBody.from_robot(robot, config)
+    def __init__(self, body: CollisionBody, field: DistanceField, wider: float = 0.0) -> None:
         if not (np.isfinite(wider) and wider >= 0.0):
             raise InvalidInputError("wider", f"is {wider}, expected at least 0 m")
-        self.body, self._wider = robot, wider
-        self.field = _field(surroundings, robot.config)
-        self._shrunk: FloatArray = np.zeros(len(robot.arrays.spheres))
+        self.body, self.field, self._wider = body, field, wider
+        self._shrunk: FloatArray = np.zeros(len(body.arrays.spheres))
 
-    def check(self, q: ArrayLike, T_map_base: ArrayLike, base: bool = True) -> CollisionReport:
-        """Check one configuration and say what it touches.
+    def contact(self, q: ArrayLike, T_map_base: ArrayLike) -> str:
+        """What a configuration touches, in words; empty where it is free.
 
         Args:
             q: positions of the arm, shape (n,).
             T_map_base: shape (4, 4).
-            base: compare the links that stand still on the base with the map too.
 
         Raises:
             InvalidInputError: malformed positions or pose.
         """
         position = self.body.chain.check(q)
-        space = self.space(T_map_base, base)
+        space = self.space(T_map_base)
         pair, sphere, *place = kernels.first_contact(space, position)
         if pair != CLEAR:
             first, second = (self.body.links[i] for i in self.body.arrays.pairs[pair])
-            return CollisionReport(False, f"{first} with {second}")
+            return f"{first} with {second}"
         if sphere != CLEAR:
             where = ", ".join(f"{x:.2f}" for x in place)
-            return CollisionReport(False, f"{self._link_of(sphere)} with the map at ({where})")
-        return CollisionReport(True)
+            return f"{self._link_of(sphere)} with the map at ({where})"
+        return ""
 
-    def are_free(
-        self, qs: ArrayLike, T_map_bases: ArrayLike, base: bool = True
-    ) -> NDArray[np.bool_]:
+    def are_free(self, qs: ArrayLike, T_map_bases: ArrayLike) -> NDArray[np.bool_]:
         """Check many configurations.
 
         Args:
             qs: positions of the arm, shape (N, n).
             T_map_bases: one for all, shape (4, 4), or one for each, shape (N, 4, 4).
-            base: compare the links that stand still on the base with the map too.
 
         Returns:
             Which touch nothing, shape (N,).
@@ -125,26 +98,21 @@ class CollisionChecker:
         poses = np.broadcast_to(poses, (len(rows), 4, 4))[:, :3]
         free = np.empty(len(rows), np.bool_)
         kernels.all_free(
-            self.space(np.eye(4), base),
+            self.space(np.eye(4)),
             np.ascontiguousarray(rows),
             np.ascontiguousarray(poses),
             free,
         )
         return free
 
-    def space(self, T_map_base: ArrayLike, base: bool = False) -> MotionSpace:
-        """What the kernels take.
-
-        Args:
-            T_map_base: shape (4, 4).
-            base: compare the links that stand still on the base with the map too.
-        """
+    def space(self, T_map_base: ArrayLike) -> MotionSpace:
+        """What the kernels take where the base stands at a place, shape (4, 4)."""
         body, pose = self.body, check_transform(T_map_base, "T_map_base")
         return MotionSpace(
             tree=body.tree.arrays,
             body=self._arrays,
             field=self.field.arrays,
-            links=self._all_links if base else body.moving_links,
+            links=body.moving_links,
             radii=self._radii,
             gaps=self.body.gaps,
             kept=self.body.kept,
@@ -199,10 +167,10 @@ class CollisionChecker:
         starts = self.body.arrays.starts[:-1]
         return np.minimum(np.minimum.reduceat(found - kept - space.radii, starts), 0.0)
 
-    def first_on_way(
-        self, q_start: ArrayLike, q_goal: ArrayLike, T_map_base: ArrayLike
-    ) -> CollisionReport:
-        """Check the straight way between two configurations, wholly.
+    def contact_on_way(self, q_start: ArrayLike, q_goal: ArrayLike, T_map_base: ArrayLike) -> str:
+        """What is touched on the straight way between two configurations, in words, or empty.
+
+        All of the way is looked at.
 
         Raises:
             InvalidInputError: malformed positions or pose.
@@ -210,8 +178,8 @@ class CollisionChecker:
         first, second = (self.body.chain.check(q) for q in (q_start, q_goal))
         share = first_on_way(self.space(T_map_base), first, second, self.body.scratch())
         if share < 0.0:
-            return CollisionReport(True)
-        return self.check(first + share * (second - first), T_map_base, base=False)
+            return ""
+        return self.contact(first + share * (second - first), T_map_base)
 
     @cached_property
     def _radii(self) -> FloatArray:
@@ -223,28 +191,131 @@ class CollisionChecker:
         arrays = self.body.arrays
         return arrays._replace(balls=arrays.balls + np.array([0.0, 0.0, 0.0, self._wider]))
 
-    @cached_property
-    def _all_links(self) -> NDArray[np.int64]:
-        return np.concatenate([self.body.moving_links, self.body.base_links])
-
     def _link_of(self, sphere: int) -> str:
         starts = self.body.arrays.starts
         return self.body.links[int(np.searchsorted(starts, sphere, side="right")) - 1]
 
 
-def _field(
-    surroundings: VoxelMap | VoxelWindow | DistanceField, config: CollisionConfig
-) -> DistanceField:
-    if isinstance(surroundings, DistanceField):
-        return surroundings
-    thresholds = OccupancyThresholds(config.free_probability)
-    unknown_is_free = config.unknown_is_free
-    if isinstance(surroundings, VoxelWindow):
-        return distance_field(surroundings, thresholds=thresholds, unknown_is_free=unknown_is_free)
-    bounds, size = surroundings.bounds(), surroundings.config.voxel_size
-    if bounds is None:
-        blocked = np.full((1, 1, 1), not unknown_is_free)
-        return field_of_blocked(blocked, (0, 0, 0), size, unknown_is_free)
-    low, high = (np.asarray(bound) for bound in bounds)
-    window = surroundings.window((low + 0.25) * size, (high + 0.75) * size)
-    return distance_field(window, thresholds=thresholds, unknown_is_free=unknown_is_free)
+_REMEMBERED = 4
+
+
+class NearSpace:
+    """Makes collision checkers for parts of a map.
+
+    At the start nothing is known, least of all around the arm, and unknown space counts as
+    occupied. Three things let a robot move all the same, none of which takes anything for free
+    that was seen to be occupied: the space that its body fills, and a little around it, is free;
+    so is what the user declares to be free; and a way may leave what the body touches at its start
+    (`CollisionChecker.departure`). Voxels within the body are free even if something was seen
+    there, as that can only have been the robot itself. And where the base is to stand, the planner
+    of the base answers for the space that the foot of the arm fills, which hardly moves; where it
+    stands, the foot may be as near to what the map shows as it is (`CollisionChecker.standing`).
+
+    Args:
+        voxel_map: what is known.
+        body: the robot's.
+        T_map_base: where it is now, shape (4, 4).
+        joints: where all its joints are now, by name [rad or m].
+        radius: no point of the body is farther from the base's origin [m].
+        clear_body: space within this of the present body is free, and more where the checks take a
+            link for larger than it is [m].
+        known_free: further space that is free although it was never seen [map].
+        foot: solids of the foot of the arm, base frame.
+        in_the_way: solids that must not be touched and that the map does not show [map].
+        wider: what the arm keeps off the map beyond its margin [m].
+    """
+
+    def __init__(
+        self,
+        voxel_map: VoxelMap,
+        body: CollisionBody,
+        T_map_base: FloatArray,
+        joints: Mapping[str, float],
+        radius: float,
+        clear_body: float,
+        known_free: Sequence[PlacedSolid] = (),
+        foot: Sequence[PlacedSolid] = (),
+        in_the_way: Sequence[PlacedSolid] = (),
+        wider: float = 0.0,
+    ) -> None:
+        self._thresholds = OccupancyThresholds(body.config.free_probability)
+        self._map, self._body, self._radius, self.wider = voxel_map, body, radius + wider, wider
+        robot = body.robot
+        positions = {j.name: float(np.clip(0.0, j.lower, j.upper)) for j in robot.joints}
+        positions.update({name: float(joints[name]) for name in positions if name in joints})
+        half_diagonal = 0.5 * math.sqrt(3.0) * voxel_map.config.voxel_size
+        least = body.config.margin + wider
+        clear = {link: max(clear_body, out + least) for link, out in body.protrusions.items()}
+        own = [
+            PlacedSolid(
+                # No voxel that is not free reaches into what the checks take for the body.
+                _grown(part.solid, clear[part.name] + half_diagonal),
+                T_map_base @ part.transform,
+                part.name,
+            )
+            for part in robot.solids_in(robot.base_frame, positions)
+        ]
+        reach = body.config.tolerance + body.config.margin + wider + half_diagonal
+        self._foot = [
+            PlacedSolid(_grown(part.solid, reach), part.transform, part.name) for part in foot
+        ]
+        self._known_free = (*known_free, *own)
+        self._in_the_way = [
+            PlacedSolid(_grown(part.solid, half_diagonal), part.transform, part.name)
+            for part in in_the_way
+        ]
+        self._base, self._q = T_map_base, body.chain.positions(positions)
+        self._own_points = body.spheres(self._q, T_map_base)[:, :3]
+        self._remembered: dict[bytes, CollisionChecker] = {}
+
+    def checker_at(self, T_map_base: FloatArray) -> CollisionChecker:
+        """For a robot that stands at one place, shape (4, 4)."""
+        key = T_map_base.tobytes()
+        if key not in self._remembered:
+            if len(self._remembered) >= _REMEMBERED:
+                self._remembered.pop(next(iter(self._remembered)))
+            checker = self.checker_around(T_map_base[None])
+            if key == self._base.tobytes():
+                checker = checker.standing(self._q, T_map_base)
+            self._remembered[key] = checker
+        return self._remembered[key]
+
+    def checker_around(self, T_map_bases: FloatArray) -> CollisionChecker:
+        """For a robot that stands at any of several places, shape (N, 4, 4)."""
+        middles = T_map_bases[:, :3, 3]
+        feet = [
+            PlacedSolid(part.solid, pose @ part.transform, part.name)
+            for pose in T_map_bases
+            for part in self._foot
+        ]
+        low, high = middles.min(axis=0) - self._radius, middles.max(axis=0) + self._radius
+        field = distance_field(
+            self._map.window(low, high),
+            thresholds=self._thresholds,
+            unknown_is_free=False,
+            known_free=[
+                solid for solid in (*self._known_free, *feet) if _touches_box(solid, low, high)
+            ],
+            own_points=self._own_points,
+            in_the_way=[solid for solid in self._in_the_way if _touches_box(solid, low, high)],
+        )
+        return CollisionChecker(self._body, field, wider=self.wider)
+
+
+def _touches_box(placed: PlacedSolid, low: FloatArray, high: FloatArray) -> bool:
+    nearest = np.clip(placed.transform[:3, 3], low, high)
+    away = float(np.linalg.norm(nearest - placed.transform[:3, 3]))
+    return away <= placed.solid.bounding_radius
+
+
+def _grown(solid: Solid, by: float) -> Solid:
+    """A solid of the same kind that holds all points within `by` of it."""
+    if isinstance(solid, Sphere):
+        return Sphere(solid.radius + by)
+    if isinstance(solid, Box):
+        x, y, z = (edge + 2.0 * by for edge in solid.size)
+        return Box((x, y, z))
+    if isinstance(solid, Cylinder):
+        return Cylinder(solid.radius + by, solid.length + 2.0 * by)
+    assert isinstance(solid, ConvexPolytope)
+    return ConvexPolytope(solid.normals, solid.offsets + by, solid.radius + by)

@@ -1,17 +1,70 @@
-"""The joints of a robot, and how their positions move them."""
+"""The joints of a robot, how positions move them, and the chain of them between two frames."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import pinocchio
+from numpy.typing import NDArray
 
 from infomap_ros.errors import RobotModelError
+from infomap_ros.geometry import invert_transform, make_transform
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.motion.robot.joint_limits import JointLimits, joint_limits
-from infomap_ros.motion.robot.mimicry import Follower
+from infomap_ros.motion.robot.chain import ChainArrays, KinematicChain
+from infomap_ros.motion.robot.urdf import Follower
+
+
+@dataclass(frozen=True)
+class JointLimits:
+    """A joint that has a position of its own.
+
+    Attributes:
+        name: as in the URDF.
+        lower: smallest position [rad or m]; -inf for a continuous joint.
+        upper: largest position [rad or m]; inf for a continuous joint.
+        velocity: largest speed [rad/s or m/s]; inf where the URDF gives none.
+        is_continuous: turns without end.
+    """
+
+    name: str
+    lower: float
+    upper: float
+    velocity: float
+    is_continuous: bool = False
+
+    @property
+    def rest(self) -> float:
+        """Zero, or the limit nearest to it [rad or m]."""
+        return min(max(0.0, self.lower), self.upper)
+
+
+def joint_limits(model: pinocchio.Model, index: int) -> JointLimits:
+    """Limits of one joint of a model, of one degree of freedom.
+
+    Raises:
+        RobotModelError: the lower limit is above the upper one.
+    """
+    name, joint = str(model.names[index]), model.joints[index]
+    speed = float(_velocity_limits(model)[joint.idx_v])
+    speed = speed if speed > 0.0 else math.inf
+    if joint.nq == 2:
+        return JointLimits(name, -math.inf, math.inf, speed, True)
+    lower, upper = (
+        float(x[joint.idx_q]) for x in (model.lowerPositionLimit, model.upperPositionLimit)
+    )
+    if not lower <= upper:
+        raise RobotModelError(f"joint '{name}' has the lower limit {lower:g}, upper {upper:g}")
+    return JointLimits(name, lower, upper, speed)
+
+
+def _velocity_limits(model: pinocchio.Model) -> FloatArray:
+    """Largest speeds by velocity index; Pinocchio 3, which ROS has, knows one for both signs."""
+    if hasattr(model, "upperVelocityLimit"):
+        return np.asarray(model.upperVelocityLimit)
+    return np.asarray(model.velocityLimit)
 
 
 class Mechanism:
@@ -139,3 +192,132 @@ class Mechanism:
             q[joint.idx_q : joint.idx_q + 2] = math.cos(position), math.sin(position)
         else:
             q[joint.idx_q] = position
+
+
+JointRow = tuple[int, float, float, bool, FloatArray]
+"""Of a joint, its frame turned so that its axis is z: column of the positions q, scale and offset,
+whether it slides, and placement, shape (3, 4); see `ChainArrays`."""
+
+
+def chain_between(
+    mechanism: Mechanism,
+    base: int,
+    camera: int,
+    joints: Sequence[str],
+    held: Mapping[str, float],
+) -> KinematicChain:
+    """Build the chain from one frame of a model to another.
+
+    Args:
+        mechanism: the robot's joints.
+        base: index of the frame in which the camera is placed.
+        camera: index of the camera's frame.
+        joints: names of those that move; all between the two frames where empty.
+        held: where the others stand [rad or m]; where not given, at zero or at their limit
+            nearest to it.
+
+    Raises:
+        RobotModelError: a joint of `joints` is not between the two frames, or a position of
+            `held` is not finite or is that of an unknown joint.
+    """
+    model = mechanism.model
+    way = list(_way(model, base, camera))
+    between = list(dict.fromkeys(mechanism.owner_of(index) for index, _ in way))
+    moving = [index for index in between if not joints or str(model.names[index]) in joints]
+    names = tuple(str(model.names[index]) for index in moving)
+    for name in joints:
+        if name not in names:
+            raise RobotModelError(
+                f"joint '{name}' does not move the camera against the base; these do: "
+                + (", ".join(str(model.names[index]) for index in between) or "none")
+            )
+    rows, tail = _rows(mechanism, (base, camera), way, moving, held)
+    limits = [mechanism.limits_of(index) for index in moving]
+    return KinematicChain(
+        joint_names=names,
+        lower=np.array([joint.lower for joint in limits]),
+        upper=np.array([joint.upper for joint in limits]),
+        velocity=np.array([joint.velocity for joint in limits]),
+        is_continuous=np.array([joint.is_continuous for joint in limits], dtype=bool),
+        is_prismatic=np.array([mechanism.slides(index) for index in moving], dtype=bool),
+        arrays=ChainArrays(*joint_arrays(rows), np.ascontiguousarray(tail[:3])),
+    )
+
+
+def _way(model: pinocchio.Model, base: int, camera: int) -> Iterator[tuple[int, int]]:
+    """Joints from the base to the camera: (index, 1), or (index, -1) from the far end."""
+    up, down = (
+        [int(index) for index in model.supports[model.frames[frame].parentJoint]]
+        for frame in (base, camera)
+    )
+    shared = sum(1 for first, second in zip(up, down, strict=False) if first == second)
+    yield from ((index, -1) for index in reversed(up[shared:]))
+    yield from ((index, 1) for index in down[shared:])
+
+
+def _rows(
+    mechanism: Mechanism,
+    ends: tuple[int, int],
+    way: list[tuple[int, int]],
+    moving: list[int],
+    held: Mapping[str, float],
+) -> tuple[list[JointRow], FloatArray]:
+    """The joints that move, and the camera in the frame of the last one."""
+    model = mechanism.model
+    data = model.createData()
+    pinocchio.forwardKinematics(model, data, mechanism.resting(held))
+    rows: list[JointRow] = []
+    before, last = (homogeneous(model.frames[frame].placement) for frame in ends)
+    before = invert_transform(before)
+    for index, sign in way:
+        if mechanism.owner_of(index) not in moving or mechanism.scaling_of(index)[0] == 0.0:
+            pose = homogeneous(data.liMi[index])
+            before = before @ (pose if sign > 0 else invert_transform(pose))
+            continue
+        placement = homogeneous(model.jointPlacements[index])
+        step, turn = joint_step(mechanism, data, index, sign, moving)
+        T_before_joint = before @ placement if sign > 0 else before
+        rows.append((*step, (T_before_joint @ turn)[:3]))
+        before = turn.T if sign > 0 else turn.T @ invert_transform(placement)
+    return rows, before @ last
+
+
+def joint_step(
+    mechanism: Mechanism, data: pinocchio.Data, index: int, sign: int, moving: list[int]
+) -> tuple[tuple[int, float, float, bool], FloatArray]:
+    """A `JointRow` but for its placement, and the turn, (4, 4), that takes z to the axis."""
+    scaling, offset = mechanism.scaling_of(index)
+    motion = np.asarray(data.joints[index].S, dtype=np.float64).reshape(6)
+    prismatic = bool(np.linalg.norm(motion[:3]) > 0.5)
+    turn = make_transform(_turn_of_z(motion[:3] if prismatic else motion[3:]), np.zeros(3))
+    column = moving.index(mechanism.owner_of(index))
+    return (column, sign * scaling, sign * offset, prismatic), turn
+
+
+def _turn_of_z(axis: FloatArray) -> FloatArray:
+    """A rotation, shape (3, 3), whose third column is the unit vector `axis`."""
+    aside = np.eye(3)[np.argmin(np.abs(axis))]
+    x = np.cross(aside, axis)
+    x /= np.linalg.norm(x)
+    return np.column_stack([x, np.cross(axis, x), axis])
+
+
+def joint_arrays(
+    rows: Sequence[JointRow],
+) -> tuple[
+    NDArray[np.int64], NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_], FloatArray
+]:
+    """Columns, scales, offsets, whether they slide, shape (S,), and placements, (S, 3, 4)."""
+    columns, scales, offsets, slide, places = zip(*rows, strict=True) if rows else ((),) * 5
+    return (
+        np.array(columns, dtype=np.int64),
+        np.array(scales, dtype=np.float64),
+        np.array(offsets, dtype=np.float64),
+        np.array(slide, dtype=bool),
+        np.array(places, dtype=np.float64).reshape(-1, 3, 4),
+    )
+
+
+def homogeneous(placement: pinocchio.SE3) -> FloatArray:
+    """A pose of Pinocchio's as a transform, shape (4, 4)."""
+    return np.array(placement.homogeneous)

@@ -1,22 +1,35 @@
-"""The robot as its URDF describes it: joints, frames, forward kinematics, body solids."""
+"""The robot as its URDF describes it: joints, frames, forward kinematics, body solids.
+
+And all links that its arm moves, not only those between base and camera, as plain arrays.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from functools import cache, cached_property
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio
+from numpy.typing import NDArray
 
-from infomap_ros.errors import RobotModelError
+from infomap_ros.errors import ConfigError, RobotModelError
 from infomap_ros.geometry import PlacedSolid, invert_transform
+from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.motion.robot.body_shapes import BodyShape, body_shapes, visible_shapes
 from infomap_ros.motion.robot.chain import KinematicChain
-from infomap_ros.motion.robot.chain_builder import chain_between
-from infomap_ros.motion.robot.joint_limits import JointLimits
-from infomap_ros.motion.robot.mechanism import Mechanism
+from infomap_ros.motion.robot.mechanism import (
+    JointLimits,
+    JointRow,
+    Mechanism,
+    chain_between,
+    homogeneous,
+    joint_arrays,
+    joint_step,
+)
 from infomap_ros.motion.robot.urdf import read_urdf
 
 
@@ -36,6 +49,7 @@ class RobotModel:
         arm_joints: joints that `arm` moves, empty for all between base and camera.
         mechanism: the joints, with those that mimic.
         model: the Pinocchio model, not to be written to.
+        shapes: collision shapes of all links, each in the frame of the joint that moves it.
         missing: collision meshes that this computer does not have, in sentences: who plans motions
             needs them.
         empty: collision shapes without a size, in sentences.
@@ -56,7 +70,7 @@ class RobotModel:
         self.mechanism = mechanism
         self.model = model = mechanism.model
         self.name = str(model.name)
-        self._shapes = tuple(shapes)
+        self.shapes = tuple(shapes)
         self.missing, self.empty = tuple(missing), tuple(empty)
         self._frame_ids = {
             str(frame.name): index
@@ -68,13 +82,13 @@ class RobotModel:
         for frame in filter(None, (self.base_frame, camera_frame)):
             self._frame_id(frame)
         self.joints = mechanism.joints
-        body = {self._parent_joint(self.base_frame), *(shape.joint for shape in self._shapes)}
+        body = {self._parent_joint(self.base_frame), *(shape.joint for shape in self.shapes)}
         self._needed_by_body = mechanism.owners(mechanism.above(body))
         self.arm_joints = tuple(arm_joints)
         self._held = dict(held or {})
         self._find_visible = visible
         if self.arm_joints:
-            self.chain(self.arm_joints, self._held)
+            _ = self.arm  # so that what is wrong with it is said at once
 
     @classmethod
     def from_urdf(
@@ -127,9 +141,13 @@ class RobotModel:
         """The chain of `arm_joints` from the base to the camera, the joints between them held.
 
         Raises:
-            RobotModelError: the robot has no camera frame.
+            RobotModelError: the robot has no camera frame, a joint of `arm_joints` does not move
+                the camera, or a position at which one is held is not finite or of an unknown joint.
         """
-        return self.chain(self.arm_joints, self._held)
+        if not self.camera_frame:
+            raise RobotModelError(f"robot '{self.name}' was given no camera frame")
+        ends = self._frame_id(self.base_frame), self._frame_id(self.camera_frame)
+        return chain_between(self.mechanism, *ends, self.arm_joints, self._held)
 
     def holding(self, joint_positions: Mapping[str, float]) -> RobotModel:
         """The same robot, `arm` of which holds the joints that it does not move at these positions.
@@ -145,38 +163,14 @@ class RobotModel:
         others = set(self.mechanism.indices) - set(self.arm_joints)
         held = {name: joint_positions[name] for name in others if name in joint_positions}
         return RobotModel(
-            self.mechanism, self._shapes, self.base_frame, self.camera_frame, self.arm_joints, held,
+            self.mechanism, self.shapes, self.base_frame, self.camera_frame, self.arm_joints, held,
             self._find_visible, self.missing, self.empty,
         )  # fmt: skip
-
-    def chain(
-        self, joints: Sequence[str] = (), held: Mapping[str, float] | None = None
-    ) -> KinematicChain:
-        """A chain of joints from the base to the camera.
-
-        Args:
-            joints: names of those that move; all between base and camera where empty.
-            held: where the others stand [rad or m]; where not given, at zero or at their limit
-                nearest to it. Joints that are not on the way do not matter.
-
-        Raises:
-            RobotModelError: the robot has no camera frame, a joint of `joints` does not move the
-                camera, or a position of `held` is not finite or is that of an unknown joint.
-        """
-        if not self.camera_frame:
-            raise RobotModelError(f"robot '{self.name}' was given no camera frame")
-        ends = self._frame_id(self.base_frame), self._frame_id(self.camera_frame)
-        return chain_between(self.mechanism, *ends, joints, held)
 
     @property
     def frames(self) -> tuple[str, ...]:
         """Names of all links."""
         return tuple(self._frame_ids)
-
-    @property
-    def shapes(self) -> tuple[BodyShape, ...]:
-        """Collision shapes of all links, each in the frame of the joint that moves it."""
-        return self._shapes
 
     @property
     def left_out(self) -> tuple[str, ...]:
@@ -186,7 +180,7 @@ class RobotModel:
     @property
     def links_with_solids(self) -> tuple[str, ...]:
         """Names of the links that have collision shapes, in the order of `solids_in`."""
-        return tuple(dict.fromkeys(shape.link for shape in self._shapes))
+        return tuple(dict.fromkeys(shape.link for shape in self.shapes))
 
     def joint(self, name: str) -> JointLimits:
         """The joint of that name.
@@ -210,25 +204,6 @@ class RobotModel:
         """
         mechanism = self.mechanism
         return mechanism.owners(mechanism.above(map(self._parent_joint, links)))
-
-    def configuration(
-        self, joint_positions: Mapping[str, float], frames: Iterable[str] | None = None
-    ) -> FloatArray:
-        """Pinocchio's configuration vector, shape (nq,).
-
-        Args:
-            joint_positions: by joint name [rad or m].
-            frames: links whose place must be known; joints that move none of them may be missing
-                and are set to zero. Without it all joints must be there.
-
-        Raises:
-            RobotModelError: a joint is missing or its position is not finite, or a frame is
-                unknown; names it.
-        """
-        mechanism = self.mechanism
-        if frames is None:
-            return mechanism.configuration(joint_positions, mechanism.indices)
-        return mechanism.configuration(joint_positions, self.joints_above(frames))
 
     def forward_kinematics(self, joint_positions: Mapping[str, float], frame: str) -> FloatArray:
         """Place of a frame: ``T_base_frame``, shape (4, 4).
@@ -265,7 +240,7 @@ class RobotModel:
         mechanism = self.mechanism
         needed = mechanism.owners(mechanism.above([self._parent_joint(frame)]))
         q = mechanism.configuration(joint_positions, self._needed_by_body | needed)
-        return self._placed_shapes(self._shapes, frame, q)
+        return self._placed_shapes(self.shapes, frame, q)
 
     def visible_solids_in(
         self, frame: str, joint_positions: Mapping[str, float]
@@ -319,3 +294,153 @@ class RobotModel:
     def _root_frame(self, data: pinocchio.Data, frame: str) -> FloatArray:
         item = self.model.frames[self._frame_id(frame)]
         return np.asarray((data.oMi[item.parentJoint] * item.placement).homogeneous)
+
+
+@dataclass(frozen=True)
+class DescriptionConfig:
+    """How a robot's URDF is to be read.
+
+    Raises:
+        ConfigError: a value is out of its range.
+    """
+
+    mimics: tuple[str, ...] = parameter(
+        (),
+        "Joints that follow another although the URDF does not say so, as 'follower:leader', for "
+        "example the segments of a telescope that one motor drives.",
+    )
+    assumed_joints: tuple[str, ...] = parameter(
+        (),
+        "Joints that joint_states does not hold, as often those of wheels. They are taken to stand "
+        "at zero or at their limit nearest to it.",
+    )
+    mesh_folders: tuple[str, ...] = parameter(
+        (),
+        "Folders in which meshes are looked for, besides ROS_PACKAGE_PATH and AMENT_PREFIX_PATH: "
+        "those that hold the packages of package:// addresses, or relative paths.",
+    )
+
+    def __post_init__(self) -> None:
+        check_config(self)
+        for pair in self.mimics:
+            if pair.count(":") != 1:
+                raise ConfigError("mimics", pair, "two joints, as 'follower:leader'")
+
+    def read(
+        self,
+        path_or_xml: str | Path,
+        camera_frame: str = "",
+        base_frame: str = "",
+        arm_joints: Sequence[str] = (),
+    ) -> RobotModel:
+        """Read a robot; arguments as for `RobotModel.from_urdf`.
+
+        Raises:
+            RobotModelError: the URDF cannot be used, or lacks a joint that is named here.
+        """
+        return RobotModel.from_urdf(
+            path_or_xml,
+            camera_frame,
+            base_frame,
+            package_folders=self.mesh_folders,
+            arm_joints=arm_joints,
+            mimics=dict(pair.split(":") for pair in self.mimics),
+            assumed_joints=self.assumed_joints,
+        )
+
+
+class TreeArrays(NamedTuple):
+    """A tree of bodies; body 0 is the base, body b > 0 is moved by joint b - 1.
+
+    As in `chain.ChainArrays`, joint k moves about or along the z axis of its own frame by
+    ``scales[k] * q[columns[k]] + offsets[k]``.
+
+    Attributes:
+        parents: body that carries joint k, at most k, shape (B,).
+        columns: index into the positions q, shape (B,).
+        scales: shape (B,).
+        offsets: [rad or m], shape (B,).
+        prismatic: slides instead of turning, shape (B,).
+        placements: of joint k at zero in the body that carries it, shape (B, 3, 4).
+    """
+
+    parents: NDArray[np.int64]
+    columns: NDArray[np.int64]
+    scales: NDArray[np.float64]
+    offsets: NDArray[np.float64]
+    prismatic: NDArray[np.bool_]
+    placements: NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class LinkTree:
+    """The bodies that the arm's joints move against each other.
+
+    Attributes:
+        arrays: for kernels.
+        bodies: body of each joint of the Pinocchio model, shape (njoints,).
+        placements: of each of these joints' frames in its body, shape (njoints, 4, 4).
+    """
+
+    arrays: TreeArrays
+    bodies: NDArray[np.int64]
+    placements: FloatArray
+
+    def bodies_up_from(self, body: int) -> Iterator[int]:
+        """The body, the one that carries it, and so on; without the base."""
+        while body > 0:
+            yield body
+            body = int(self.arrays.parents[body - 1])
+
+    def axis(self, joint: int) -> FloatArray:
+        """Axis of a joint in the base frame, all joints at zero, shape (3,)."""
+        rotation = np.eye(3)
+        for body in self.bodies_up_from(joint + 1):
+            rotation = self.arrays.placements[body - 1][:, :3] @ rotation
+        return rotation[:, 2]
+
+    @classmethod
+    def of(cls, robot: RobotModel, joint_positions: Mapping[str, float] | None = None) -> LinkTree:
+        """The tree that the joints of ``robot.arm`` move.
+
+        Args:
+            robot: with a camera frame.
+            joint_positions: of joints that are not of the arm [rad or m]; where not given, they
+                stand at zero or at their limit nearest to it. Unknown names are ignored.
+
+        Raises:
+            RobotModelError: the robot has no camera frame, the arm moves its own base frame, or a
+                position is not finite.
+        """
+        model, mechanism, arm = robot.model, robot.mechanism, robot.arm
+        names = {joint.name for joint in robot.joints}
+        held = {k: float(v) for k, v in (joint_positions or {}).items() if k in names}
+        data = model.createData()
+        pinocchio.forwardKinematics(model, data, mechanism.resting(held))
+        moving = [int(model.getJointId(name)) for name in arm.joint_names]
+        bodies = np.zeros(model.njoints, dtype=np.int64)
+        poses = np.tile(np.eye(4), (model.njoints, 1, 1))
+        poses[0] = _root_in_base(robot, data, moving)
+        parents, rows = list[int](), list[JointRow]()
+        for index in range(1, model.njoints):
+            parent = int(model.parents[index])
+            if mechanism.owner_of(index) not in moving or mechanism.scaling_of(index)[0] == 0.0:
+                bodies[index] = bodies[parent]
+                poses[index] = poses[parent] @ homogeneous(data.liMi[index])
+                continue
+            step, turn = joint_step(mechanism, data, index, 1, moving)
+            place = poses[parent] @ homogeneous(model.jointPlacements[index]) @ turn
+            parents.append(int(bodies[parent]))
+            rows.append((*step, place[:3]))
+            bodies[index], poses[index] = len(rows), turn.T
+        carried_by = np.array(parents, dtype=np.int64)
+        return cls(TreeArrays(carried_by, *joint_arrays(rows)), bodies, poses)
+
+
+def _root_in_base(robot: RobotModel, data: pinocchio.Data, moving: list[int]) -> FloatArray:
+    model = robot.model
+    frame = model.frames[model.getFrameId(robot.base_frame, pinocchio.FrameType.BODY)]
+    above = robot.mechanism.above([frame.parentJoint])
+    if {robot.mechanism.owner_of(index) for index in above} & set(moving):
+        raise RobotModelError(f"the arm's joints move its own base frame '{robot.base_frame}'")
+    return invert_transform(homogeneous(data.oMi[frame.parentJoint] * frame.placement))

@@ -1,4 +1,4 @@
-"""Axis-aligned extent of placed solids."""
+"""How far placed solids and a robot extend; where it can hold its camera, and how steeply."""
 
 from __future__ import annotations
 
@@ -62,3 +62,48 @@ def quick_extent(placed: PlacedSolid) -> tuple[FloatArray, FloatArray]:
         return solid_extent(placed)
     middle, reach = placed.transform[:3, 3], placed.solid.bounding_radius
     return middle - reach, middle + reach
+
+
+_POSTURES = 2000
+_DECIMALS = 6  # of an angle [rad]; what is beyond them is rounding
+_LEAST_HEIGHT = 0.15  # [m]; nearer to rough ground the arm would touch it
+
+
+def camera_heights(robot: RobotModel) -> tuple[float, float]:
+    """Lowest and highest camera that the arm can hold, above the ground of a level base [m].
+
+    Sampled over the joint limits, so a little inside of what is possible; equal where no joint
+    moves the camera. The ground is taken where the lowest solid of the robot ends.
+    """
+    heights = _sampled_cameras(robot)[:, 2, 3] - robot_bottom(robot)
+    highest = float(heights.max())
+    return min(max(float(heights.min()), _LEAST_HEIGHT), highest), highest
+
+
+def camera_elevations(robot: RobotModel) -> tuple[float, float]:
+    """Least and greatest angle of the optical axis above the x-y plane of the base [rad].
+
+    Sampled as `camera_heights`; equal where no joint tilts the camera.
+    """
+    upward = _sampled_cameras(robot)[:, 2, 2]
+    angles = np.arcsin(np.clip(upward, -1.0, 1.0)).round(_DECIMALS)
+    return float(angles.min()), float(angles.max())
+
+
+def _sampled_cameras(robot: RobotModel) -> FloatArray:
+    """Poses of the camera in random postures, always the same ones, shape (N, 4, 4)."""
+    return robot.arm.camera_pose(random_postures(robot, _POSTURES, np.random.default_rng(0)))
+
+
+def random_postures(robot: RobotModel, count: int, rng: np.random.Generator) -> FloatArray:
+    """Positions of the arm, uniform within its limits, shape (count, n) [rad or m]."""
+    chain = robot.arm
+    lower, upper = np.maximum(chain.lower, -np.pi), np.minimum(chain.upper, np.pi)
+    return rng.uniform(lower, upper, (count, len(chain)))
+
+
+def robot_bottom(robot: RobotModel) -> float:
+    """Height of the robot's lowest point in the base frame [m], the joints near zero."""
+    joints = {j.name: float(np.clip(0.0, j.lower, j.upper)) for j in robot.joints}
+    solids = robot.solids_in(robot.base_frame, joints)
+    return min((float(solid_extent(placed)[0][2]) for placed in solids), default=0.0)

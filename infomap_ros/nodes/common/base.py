@@ -369,12 +369,12 @@ class MonitoredNode(Node):
 
     def _warn_of_unknown_parameters(self) -> None:
         """Name values that were given for parameters which this node does not have."""
-        known = [name for name in self._parameters if not name.startswith("qos_overrides.")]
-        used = {prefix + name for kind, prefix in self.CONFIGS for name in all_parameters(kind)}
+        known = {prefix + name for kind, prefix in self.CONFIGS for name in all_parameters(kind)}
+        known |= {name for name in self._parameters if not name.startswith("qos_overrides.")}
         unknown = [
             name
             for name in self._parameter_overrides
-            if name not in used | set(known) and not name.startswith("qos_overrides.")
+            if name not in known and not name.startswith("qos_overrides.")
         ]
         if not unknown:
             return

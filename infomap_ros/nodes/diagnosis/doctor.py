@@ -12,6 +12,7 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.qos import QoSCompatibility, qos_check_compatible
 
 from infomap_ros.errors import InfomapError
 from infomap_ros.geometry import Record
@@ -30,8 +31,44 @@ from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.message_types import message_class
 from infomap_ros.nodes.diagnosis import findings
 from infomap_ros.nodes.diagnosis.findings import Finding
-from infomap_ros.nodes.diagnosis.graph_checks import similar_topics, unconnected
 from infomap_ros.nodes.robot.image_inputs import is_compressed
+
+
+def similar_topics(node: Node, topic: str, type_name: str) -> list[str]:
+    """Published topics that may be what is missing, the likeliest first.
+
+    Args:
+        node: through which the graph is seen.
+        topic: relative name of what is missing, for example ``left/image_rect``.
+        type_name: its type.
+    """
+    full = node.resolve_topic_name(topic)
+    side, _, tail = topic.rpartition("/")
+    found = [
+        name
+        for name, types in node.get_topic_names_and_types()
+        if type_name in types and name != full and side in name and node.count_publishers(name)
+    ]
+    return sorted(found, key=lambda name: (tail not in name, name))
+
+
+def unconnected(node: Node) -> list[Finding]:
+    """Publishers and subscribers of one topic whose quality of service keeps them apart.
+
+    Args:
+        node: through which the graph is seen.
+    """
+    found = []
+    for name, _ in node.get_topic_names_and_types():
+        for publisher in node.get_publishers_info_by_topic(name):
+            for subscriber in node.get_subscriptions_info_by_topic(name):
+                profiles = publisher.qos_profile, subscriber.qos_profile
+                verdict, reason = qos_check_compatible(*profiles)
+                if verdict == QoSCompatibility.ERROR:
+                    pair = f"{publisher.node_name} -> {subscriber.node_name}"
+                    found.append(Finding(False, name, f"{pair} never connect: {reason}"))
+    return found
+
 
 REQUIRED = {
     "left/camera_info": CAMERA_INFO,
@@ -118,8 +155,9 @@ class Doctor(Node):
             return Finding(False, name, "its messages cannot be read")
         if self.count_publishers(name):
             return Finding(topic in OPTIONAL, name, "has a publisher, but no message came")
-        hint = self._hint(topic)
-        return Finding(topic in OPTIONAL, name, "nobody publishes it" + hint)
+        if topic in OPTIONAL:
+            return Finding(True, name, "optional, and not published")
+        return Finding(False, name, "nobody publishes it" + self._hint(topic))
 
     def _hint(self, topic: str) -> str:
         raw = topic.replace("image_rect", "image_raw")
@@ -221,7 +259,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for finding in sorted(found, key=lambda finding: finding.good):
         print(f"{'ok   ' if finding.good else 'WRONG'} {finding.subject}: {finding.text}")
     wrong = sum(not finding.good for finding in found)
-    print(f"{wrong} of {len(found)} things looked at are wrong" if wrong else "all is well")
+    print(f"{wrong} of {len(found)} checks failed" if wrong else "all is well")
     return 1 if wrong else 0
 
 

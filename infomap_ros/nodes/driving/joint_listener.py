@@ -7,7 +7,7 @@ from std_msgs.msg import String
 
 from infomap_ros.errors import PoseUnavailableError
 from infomap_ros.messages import decode_joint_state, decode_text
-from infomap_ros.motion import JointLimits
+from infomap_ros.motion.robot.mechanism import JointLimits
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.robot.robot_tracker import RobotTrackerConfig

@@ -9,7 +9,7 @@ from infomap_ros.errors import FrameError, PoseUnavailableError
 from infomap_ros.exploration.planar import planar_pose
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.messages.commands import BasePathCommand
-from infomap_ros.motion.base.path_driving import PathDriving
+from infomap_ros.motion.base.path_following import PathDriving
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.driving.action_motion import REPLACED

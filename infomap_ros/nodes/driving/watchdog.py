@@ -23,7 +23,7 @@ import rclpy
 from action_msgs.srv import CancelGoal
 from geometry_msgs.msg import Twist, TwistStamped
 from rclpy.node import Node
-from rclpy.qos import qos_profile_sensor_data
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
@@ -111,28 +111,20 @@ class _Brake(Node):
         self._arms = {
             topic: self.create_publisher(JointTrajectory, topic, 1) for topic in reach.arms
         }
+        self._moving = set[str]()
+        if reach.arms:  # from the start: to find who publishes takes longer than to stop
+            latest = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+            topic = reach.joint_states
+            self._joints = self.create_subscription(JointState, topic, self._halt, latest)
 
     def stop(self, why: str) -> None:
         """Cancel all goals, have arms stand, and publish zero for a while."""
         self.get_logger().error(f"robot_driver {why}: stopping the robot")
-        asked, standing = set(), set()
-
-        def halt(message: JointState) -> None:
-            with contextlib.suppress(MalformedMessageError):  # the next one will be read
-                record = decode_joint_state(message)
-                positions = dict(zip(record.names, record.positions, strict=True))
-                told = record.velocities
-                speeds = {} if told is None else dict(zip(record.names, told, strict=True))
-                for topic, joints in self._reach.arms.items():
-                    if topic not in standing and positions.keys() >= set(joints):
-                        standing.add(topic)
-                        stop = encode_arm_stop(self._types, joints, positions, speeds)
-                        self._arms[topic].publish(stop)
-
-        if self._arms:  # not before: hundreds of messages a second that nobody needs
-            heard = self.create_subscription(
-                JointState, self._reach.joint_states, halt, qos_profile_sensor_data
-            )
+        asked = set()
+        self._moving = set(self._arms)
+        if self._arms:  # what waits may be old
+            with self._joints.handle:
+                self._joints.handle.take_message(JointState, False)
         end = time.monotonic() + _STOPPING
         while time.monotonic() < end:
             for number, client in enumerate(self._cancels):
@@ -142,8 +134,18 @@ class _Brake(Node):
             for publisher in self._velocities:
                 publisher.publish(self._zero())
             rclpy.spin_once(self, timeout_sec=_PERIOD)
-        if self._arms:
-            self.destroy_subscription(heard)
+
+    def _halt(self, message: JointState) -> None:
+        with contextlib.suppress(MalformedMessageError):  # the next one will be read
+            record = decode_joint_state(message)
+            positions = dict(zip(record.names, record.positions, strict=True))
+            told = record.velocities
+            speeds = {} if told is None else dict(zip(record.names, told, strict=True))
+            for topic, joints in self._reach.arms.items():
+                if topic in self._moving and positions.keys() >= set(joints):
+                    self._moving.remove(topic)
+                    stop = encode_arm_stop(self._types, joints, positions, speeds)
+                    self._arms[topic].publish(stop)
 
     def _zero(self) -> Twist | TwistStamped:
         zero = self._kind()

@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from infomap_ros.mapping import VoxelChanges, VoxelMap
+from infomap_ros.mapping import NOT_OBSERVED, VoxelChanges, VoxelMap
 from infomap_ros.mapping.files.export import surface_vertices
-from infomap_ros.team import NOT_OBSERVED
 
 VOXEL_MAP_FIELDS = ("x", "y", "z", "probability", "sigma")
 

@@ -16,7 +16,7 @@ from typing import Any
 from sensor_msgs.msg import PointCloud2
 
 from infomap_ros.errors import InvalidInputError, MapFileError
-from infomap_ros.exploration.team.bodies_in_scan import BodyInScan
+from infomap_ros.exploration.team.teammate_places import BodyInScan
 from infomap_ros.geometry import PoseRecord
 from infomap_ros.geometry.assumed_pose import AssumedPoseConfig
 from infomap_ros.geometry.config import check_config, parameter

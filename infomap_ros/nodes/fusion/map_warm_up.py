@@ -22,7 +22,9 @@ from infomap_ros.nodes.fusion.map_contents import voxel_map_rows
 from infomap_ros.pipeline.map_builder import MapBuilder
 from infomap_ros.pipeline.scan_synchronizer import Scan
 from infomap_ros.stereo import DepthCameraSensor
-from infomap_ros.team import MapReplica, MapUpdate, encode_update
+from infomap_ros.team.replica import MapReplica
+from infomap_ros.team.update import MapUpdate
+from infomap_ros.team.wire import encode_update
 
 
 def warm_up(threads: int) -> None:

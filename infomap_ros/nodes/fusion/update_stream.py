@@ -28,18 +28,12 @@ from infomap_ros.nodes.fusion.map_contents import without_evidence
 from infomap_ros.nodes.team.team_identity import TeamIdentityConfig
 from infomap_ros.nodes.team.team_topics import UPDATES
 from infomap_ros.pipeline.scan_synchronizer import ScanSynchronizerConfig
-from infomap_ros.team import (
-    MAX_MESSAGE_BYTES,
-    OCCUPANCY_ROW,
-    Budget,
-    MapUpdate,
-    TeamConfig,
-    TeamMember,
-    draw_session,
-    encode_update,
-    next_version,
-    version_at,
-)
+from infomap_ros.team.config import Budget, TeamConfig
+from infomap_ros.team.member import TeamMember
+from infomap_ros.team.membership import draw_session
+from infomap_ros.team.update import MapUpdate
+from infomap_ros.team.versions import next_version, version_at
+from infomap_ros.team.wire import MAX_MESSAGE_BYTES, OCCUPANCY_ROW, encode_update
 
 _VOXEL_BYTES = 4  # of a message, about
 _SLICE_BYTES = BLOCK_VOXELS * _VOXEL_BYTES

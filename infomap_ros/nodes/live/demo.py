@@ -16,9 +16,8 @@ from pathlib import Path
 from rich.console import Console
 from rich.status import Status
 
-from infomap_ros.exploration.records.hindrances import hindrance_figures
-from infomap_ros.exploration.records.pose_predictions import prediction_figures
 from infomap_ros.exploration.records.recorded_run import read_run
+from infomap_ros.exploration.records.run_figures import hindrance_figures, prediction_figures
 from infomap_ros.exploration.reports.report import write_report
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.mapping.files.export import write_ply
@@ -47,6 +46,7 @@ from infomap_ros.simulation.worlds.builder import World
 
 PICTURE_FILE = "map.png"
 _COMPILING = 1800.0  # [s] that kernels may take on a slow machine
+_STOPPING = 60.0  # [s] that an exploration may take to end that was stopped
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ class DemoConfig:
 
     world: str = "mars"
     seed: int = 1
-    size: float = 0.0
+    size: float = 5.5
     max_views: int = 60
     known_fraction: float = 0.9
     voxel_size: float = 0.05
@@ -92,6 +92,7 @@ def run_demo(config: DemoConfig, out: Path, console: Console) -> dict[str, objec
 
     Raises:
         InfomapError: it could not be done; says why.
+        KeyboardInterrupt: it was; once the robot explores, all is written before.
     """
     empty_folder(out)
     world = demo_world(config.world, config.seed, config.size)
@@ -102,7 +103,7 @@ def run_demo(config: DemoConfig, out: Path, console: Console) -> dict[str, objec
             say_page(run.open_own_page(), console)
             observed, picture = LiveTruth(run), FirstPicture(run.map_file, out / PICTURE_FILE)
             _start(run, picture, status, console)
-            run.follow(lambda: status.update(status_line(run.figures)), config.timeout)
+            interrupted = follow_to_the_end(run, status, console, config.timeout)
             console.print(run.call("map_fusion/save"), highlight=False)
             results: dict[str, object] = {"world": config.world, "seed": config.seed}
             results |= robot_results(run.figures) | drop_results(run.state)
@@ -116,7 +117,32 @@ def run_demo(config: DemoConfig, out: Path, console: Console) -> dict[str, objec
         results |= {"poses": len(poses), **pose_errors(poses), **truth.figures()}
         write_results(out, voxel_map, results)
     console.print(truth.summary(), highlight=False)
+    if interrupted:
+        raise KeyboardInterrupt
     return results
+
+
+def follow_to_the_end(
+    run: LiveExploration, status: Status, console: Console, timeout: float
+) -> bool:
+    """Watch an exploration to its end; whether Ctrl-C has brought that about.
+
+    Raises:
+        KeyboardInterrupt: Ctrl-C again.
+        ProcessError: a node failed, or it takes longer than `timeout` [s].
+    """
+
+    def show() -> None:
+        status.update(status_line(run.figures))
+
+    try:
+        run.follow(show, timeout)
+    except KeyboardInterrupt:
+        console.print("stopping; map and report follow")
+        run.call("explorer/stop")
+        run.follow(show, _STOPPING)
+        return True
+    return False
 
 
 class FirstPicture:

@@ -17,7 +17,7 @@ from rich.console import Console
 from rich.status import Status
 
 from infomap_ros.errors import ProcessError
-from infomap_ros.exploration.reports.team_report import write_team_report
+from infomap_ros.exploration.reports.comparison import write_team_report
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.mapping.files.export import write_ply
 from infomap_ros.nodes.live.demo_command import run_demo_command, say_page

@@ -26,7 +26,8 @@ from infomap_ros.nodes.locating import localization_warm_up
 from infomap_ros.nodes.planning import plan_warm_up
 from infomap_ros.pipeline.range_estimator import StereoRangeEstimator
 from infomap_ros.stereo import DepthCameraSensor, StereoConfig
-from infomap_ros.team import TeamConfig, TeamMember
+from infomap_ros.team.config import TeamConfig
+from infomap_ros.team.member import TeamMember
 
 Stages = tuple[tuple[tuple[str, ...], ...], ...]
 

@@ -6,14 +6,76 @@ ROS's launch is imported when it is needed, as the wheels have none.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
 from typing import Any
 
+from infomap_ros.errors import ConfigError
 from infomap_ros.geometry.resources import find_share
 from infomap_ros.nodes.common.environment import additions, reliable_inputs
-from infomap_ros.nodes.live.camera_presets import PRESETS, camera_preset
 from infomap_ros.nodes.ranging.range_sources import depth_topics, stereo_topics
 from infomap_ros.nodes.robot.image_inputs import COMPRESSED, COMPRESSED_DEPTH
 from infomap_ros.nodes.team.team_topics import OWN_FRAMES, SHARED
+from infomap_ros.pipeline.perception import ImageSources
+
+# The topics of common camera drivers, so that a launch argument takes the place of remaps.
+#
+# Names are those under which a driver publishes with its own launch file, relative to the robot's
+# namespace.
+
+
+@dataclass(frozen=True)
+class CameraPreset:
+    """How a driver's images are used.
+
+    Attributes:
+        source: stereo or depth, as parameter of stereo_range and fiducial_localization.
+        rectify: whether images are raw.
+        topics: those of the nodes, and those of the driver in their place.
+    """
+
+    source: str
+    rectify: bool
+    topics: Mapping[str, str]
+
+
+def _pair(left: str, right: str, image: str) -> CameraPreset:
+    """A pair of rectified images, each below a topic of its own."""
+    topics: dict[str, str] = {}
+    for side, place in (("left", left), ("right", right)):
+        topics |= {f"{side}/image_rect": f"{place}/{image}"}
+        topics |= {f"{side}/camera_info": f"{place}/camera_info"}
+    return CameraPreset("stereo", False, topics)
+
+
+_REALSENSE = "camera/camera"
+
+PRESETS: Mapping[str, CameraPreset] = {
+    "realsense": _pair(f"{_REALSENSE}/infra1", f"{_REALSENSE}/infra2", "image_rect_raw"),
+    "realsense_depth": CameraPreset(
+        "depth",
+        False,
+        {
+            "depth/image_rect": f"{_REALSENSE}/aligned_depth_to_color/image_raw",
+            "depth/camera_info": f"{_REALSENSE}/aligned_depth_to_color/camera_info",
+            "rgb/image_rect": f"{_REALSENSE}/color/image_raw",
+        },
+    ),
+    "zed": _pair("zed/zed_node/left", "zed/zed_node/right", "image_rect_color"),
+    "oak": _pair("oak/left", "oak/right", "image_rect"),
+}
+"""By the value of the launch argument ``camera``."""
+
+
+def camera_preset(name: str) -> CameraPreset | None:
+    """The preset of that name, None for an empty one.
+
+    Raises:
+        ConfigError: there is none.
+    """
+    if name and name not in PRESETS:
+        raise ConfigError("camera", name, f"one of {', '.join(PRESETS)}")
+    return PRESETS.get(name)
+
 
 ROBOT_ARGUMENTS = {
     "namespace": ("", "Namespace of the robot."),
@@ -31,6 +93,17 @@ ROBOT_ARGUMENTS = {
         "launch file starts what publishes it.",
     ),
     "autosave": ("30.0", "Time between two saves of the map [s]; 0: at the end alone."),
+    "source": (
+        "stereo",
+        "stereo: a pair of cameras; depth: a depth camera; points: points2 comes from elsewhere, "
+        "as from a lidar, and localization is odometry or pose.",
+    ),
+    "rectify": ("true", "The images are raw and must be rectified."),
+    "localization": (
+        "fiducials",
+        "fiducials: fiducial_localization; odometry: dead_reckoning; pose: camera_pose comes from "
+        "elsewhere, as from the bag or the simulator.",
+    ),
     "camera": (
         "",
         f"Driver whose topics are used: {', '.join(PRESETS)}. It counts for more than source and "
@@ -52,6 +125,7 @@ ROBOT_ARGUMENTS = {
     "rviz": ("false", "Start RViz."),
     "web": ("false", "Start web_viewer, a page in the browser; its log tells the address."),
 }
+_MOTION = ("odom", "joint_states")
 _TIME_TO_END = "20.0"
 """After SIGINT, until a node is told a second time [s]: a map of 50 million voxels is saved by
 then, on a busy machine too."""
@@ -114,13 +188,43 @@ class RobotLaunch:
 
     @property
     def source(self) -> str:
-        """What the images come from: that of the camera's preset, or as it is given."""
-        return self._camera.source if self._camera else self._given.get("source", "stereo")
+        """What the points come from: that of the camera's preset, or as it is given."""
+        return self._camera.source if self._camera else self._given["source"]
 
     @property
     def rectify(self) -> bool:
         """Whether images are raw: as for the camera's preset, or as it is given."""
         return self._camera.rectify if self._camera else self._given["rectify"] == "true"
+
+    @property
+    def seeing(self) -> dict[str, object]:
+        """Parameters of the nodes that look with the camera."""
+        return {"source": self.source, "rectify": self.rectify}
+
+    def sensing(self) -> dict[str, list[str]]:
+        """The nodes that measure and locate, each with its topics of sensor data.
+
+        Raises:
+            ConfigError: nothing can be located by images, as there are none.
+        """
+        images = self._images()
+        topics = [*images.images, *images.infos]
+        nodes = {} if self.source == "points" else {"stereo_range": topics}
+        localization = self._given["localization"]
+        if localization == "fiducials":
+            if self.source == "points":
+                raise ConfigError(
+                    "localization", localization, "odometry or pose where source is points"
+                )
+            nodes["fiducial_localization"] = [*topics, *_MOTION]
+        if localization == "odometry":
+            nodes["dead_reckoning"] = [*_MOTION, "left/camera_info"]
+        return nodes
+
+    def _images(self) -> ImageSources:
+        if self.source == "depth":
+            return depth_topics(color=True)
+        return stereo_topics(rectify=self.rectify)
 
     def node(
         self, executable: str, parameters: Mapping[str, object], inputs: Iterable[str] = ()
@@ -168,11 +272,11 @@ class RobotLaunch:
     def _camera_topics(self) -> dict[str, str]:
         """Names of the camera's topics, where they are others."""
         topics = dict(self._camera.topics) if self._camera else {}
+        if self.source == "depth":  # those who only ask for the camera's frame
+            topics["left/camera_info"] = topics.get("depth/camera_info", "depth/camera_info")
         if self._given["image_transport"] != COMPRESSED:
             return topics
-        is_depth = self.source == "depth"
-        inputs = depth_topics(color=True) if is_depth else stereo_topics(rectify=self.rectify)
-        for topic in inputs.images:
+        for topic in self._images().images:
             transport = COMPRESSED_DEPTH if topic.startswith("depth/") else COMPRESSED
             topics[topic] = f"{topics.get(topic, topic)}/{transport}"
         return topics

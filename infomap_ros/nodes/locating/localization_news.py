@@ -2,24 +2,194 @@
 
 from __future__ import annotations
 
-import numpy as np
+import math
+import threading
+import time
 
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import Point, PoseWithCovarianceStamped
+from nav_msgs.msg import Path
+from numpy.typing import NDArray
+from rclpy.clock import Clock, ClockType
+from sensor_msgs.msg import PointCloud2
+from std_msgs.msg import ColorRGBA
+from visualization_msgs.msg import Marker, MarkerArray
+
+from infomap_ros.errors import FrameError, PoseUnavailableError
 from infomap_ros.geometry import PoseRecord, TransformRecord, invert_transform
+from infomap_ros.geometry.transform_tree import TransformTree
 from infomap_ros.localization.filter.motion_prior import RobotPosture
+from infomap_ros.localization.filter.records import Fiducials, KeptPoses
 from infomap_ros.localization.localized_camera import LocalizedCamera
+from infomap_ros.messages import encode_pose
+from infomap_ros.messages.fiducials import encode_fiducials, fiducial_rows
+from infomap_ros.messages.keyframes import (
+    KeyframePoses,
+    encode_keyframe_covariances,
+    encode_keyframe_poses,
+)
+from infomap_ros.messages.pose_uncertainty import encode_pose_uncertainty
+from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
+from infomap_ros.nodes.common.message_types import RclpyMessageTypes
 from infomap_ros.nodes.locating.base_topics import BaseOdometry
-from infomap_ros.nodes.locating.camera_root import CameraRoot
 from infomap_ros.nodes.locating.localization_config import FiducialLocalizationConfig
-from infomap_ros.nodes.locating.localization_outputs import LocalizationOutputs
+from infomap_ros.nodes.locating.localization_status import LOCALIZATION_STATUS, status_message
 from infomap_ros.nodes.locating.odom_frame import (
     MapFrameConfig,
     OdomFrameBroadcaster,
     frame_publisher,
 )
+from infomap_ros.nodes.robot.frame_listener import FrameListener
 from infomap_ros.nodes.robot.robot_tracker import RobotTrackerConfig
 from infomap_ros.pipeline.camera_localizer import CameraLocalizer
 from infomap_ros.pipeline.keyframe_changes import KeyframeChanges
+
+_SIZE = 0.04  # of a marker [m]
+
+
+class LocalizationOutputs:
+    """The publishers. Nothing is built that nobody subscribes to, but poses and frames.
+
+    Args:
+        node: that publishes.
+        map_frame: name of the map's frame.
+    """
+
+    def __init__(self, node: MonitoredNode, map_frame: str) -> None:
+        self._types, self._map = RclpyMessageTypes(), map_frame
+        self._uncertainties = node.advertise(PointCloud2, "camera_pose_uncertainty", qos.stream(50))
+        self._poses = node.advertise(PoseWithCovarianceStamped, "camera_pose", qos.stream(50))
+        self._keyframes = node.advertise(Path, "keyframe_poses", qos.stream())
+        self._covariances = node.advertise(PointCloud2, "keyframe_covariances", qos.stream())
+        self._fiducials = node.advertise(PointCloud2, "fiducials", qos.latched())
+        self._markers = node.advertise(MarkerArray, "fiducial_markers", qos.latched())
+        self._status = node.advertise(DiagnosticStatus, LOCALIZATION_STATUS, qos.latched())
+
+    def publish_status(self, result: LocalizedCamera) -> None:
+        """Publish what became of a view; latched, so that who comes late knows it too."""
+        self._status.publish(status_message(result))
+
+    def publish_pose(self, pose: PoseRecord) -> None:
+        """Publish the camera's pose in the map.
+
+        The parts of its covariance go first: who receives the pose has them at hand.
+        """
+        if pose.uncertainty is not None and self._uncertainties.get_subscription_count():
+            self._uncertainties.publish(
+                encode_pose_uncertainty(self._types, pose.stamp, pose.frame_id, pose.uncertainty)
+            )
+        self._poses.publish(encode_pose(self._types, pose))
+
+    def publish_keyframes(self, stamp: int, kept: KeptPoses, origin: int) -> None:
+        """Publish where the camera was at the keyframes, as it is known at `stamp` [ns].
+
+        Covariances go first: who hears the poses has them at hand.
+        """
+        content = kept.stamps, kept.transforms, kept.covariances
+        record = KeyframePoses(stamp, self._map, *content, origin=origin)
+        if self._covariances.get_subscription_count():
+            self._covariances.publish(encode_keyframe_covariances(self._types, record))
+        if self._keyframes.get_subscription_count():
+            self._keyframes.publish(encode_keyframe_poses(self._types, record))
+
+    @property
+    def fiducials_wanted(self) -> bool:
+        """Whether anybody subscribes to fiducials or their markers."""
+        publishers = (self._fiducials, self._markers)
+        return any(publisher.get_subscription_count() for publisher in publishers)
+
+    def publish_fiducials(self, stamp: int, fiducials: Fiducials) -> None:
+        """Publish the scene's fiducials as they are known at `stamp` [ns]."""
+        if self._fiducials.get_subscription_count():
+            self._fiducials.publish(encode_fiducials(self._types, stamp, self._map, fiducials))
+        if self._markers.get_subscription_count():
+            marker = self._marker(stamp, fiducial_rows(fiducials))
+            self._markers.publish(MarkerArray(markers=[marker]))
+
+    def _marker(self, stamp: int, rows: NDArray[np.void]) -> Marker:
+        """All fiducials as balls: green where they are known to a centimeter, red from 10 cm on."""
+        marker = Marker(ns="fiducials", id=0, type=Marker.SPHERE_LIST, action=Marker.ADD)
+        marker.header.frame_id = self._map
+        marker.header.stamp.sec, marker.header.stamp.nanosec = divmod(stamp, 1_000_000_000)
+        marker.scale.x = marker.scale.y = marker.scale.z = _SIZE
+        marker.pose.orientation.w = 1.0
+        for row in rows:
+            share = float(np.clip(np.log10(max(row["sigma"], 1e-6) / 0.01), 0.0, 1.0))
+            marker.points.append(Point(x=float(row["x"]), y=float(row["y"]), z=float(row["z"])))
+            marker.colors.append(ColorRGBA(r=share, g=1.0 - share, b=0.1, a=0.9))
+        return marker
+
+
+_LOOK_PERIOD = 0.1  # [s]
+_DISCOVERY = 0.5  # [s], in which publishers of /tf are found
+
+
+class CameraRoot:
+    """Finds the topmost frame above the camera in tf: it gets the map as its parent.
+
+    A frame has one parent only, so that a camera on a robot, whose description says where it is,
+    must not be placed itself. /tf is heard from when this is asked for. May be used by any thread.
+
+    Args:
+        node: that listens.
+        map_frame: name of the map's frame.
+    """
+
+    def __init__(self, node: MonitoredNode, map_frame: str) -> None:
+        self._node, self._map = node, map_frame
+        self._lock = threading.Lock()
+        self._tree = TransformTree()
+        self._own: set[str] = set()
+        self._is_placed = self._is_needed = False
+        self._since = math.inf
+        self._frames = FrameListener(node, self._on_edge)
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        node.create_timer(_LOOK_PERIOD, self._look, clock=steady)
+
+    def note_own(self, child: str) -> None:
+        """This node itself places a frame in the map."""
+        with self._lock:
+            self._own.add(child)
+
+    def below_map(self, camera: PoseRecord) -> TransformRecord | None:
+        """The transform that places the camera in the map.
+
+        Args:
+            camera: its pose in the map.
+
+        Returns:
+            The map to the topmost frame above the camera, which may be the camera itself; None
+            where somebody else has placed that, or tf does not tell where the camera is on it at
+            that time.
+        """
+        with self._lock:
+            self._is_needed = True
+            if self._is_placed or time.monotonic() < self._since + _DISCOVERY:
+                return None
+            try:
+                root = self._tree.root_of(camera.child_frame_id)
+                on_root = self._tree.at(root, camera.child_frame_id, camera.stamp).transform
+            except (FrameError, PoseUnavailableError):
+                return None
+            self._own.add(root)
+        T_map_root = camera.transform @ invert_transform(on_root)
+        return TransformRecord(camera.stamp, self._map, root, T_map_root)
+
+    def _look(self) -> None:
+        if self._is_needed and self._since == math.inf:
+            self._frames.hear_moving()
+            self._since = time.monotonic()
+
+    def _on_edge(self, edge: TransformRecord) -> None:
+        with self._lock:
+            if edge.frame_id != self._map:
+                self._tree.add_transform(edge)
+            elif edge.child_frame_id not in self._own and not self._is_placed:
+                self._is_placed = True
+                text = f"somebody else places '{edge.child_frame_id}' in '{self._map}' on /tf"
+                self._node.get_logger().warning(f"{text}: this node does not")
 
 
 class LocalizationNews:

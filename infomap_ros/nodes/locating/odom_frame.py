@@ -25,6 +25,10 @@ PERIOD = 0.05
 """Between two publications [s]: controllers and costmaps of Nav2 look up at 5 to 20 Hz."""
 
 
+_LATE = 1_000_000_000
+"""By how much the stamp of a pose may be behind what was told [ns]: more is a clock that jumped."""
+
+
 @dataclass(frozen=True)
 class MapFrameConfig:
     """How the map's place in tf is told.
@@ -97,7 +101,9 @@ class OdomFrameBroadcaster:
         """
         with self._lock:
             self._edge, self._begin = edge, self._now()
-            self._send(edge.stamp + self._ahead)
+            stamp = edge.stamp + self._ahead
+            if not 0 <= self._told - stamp < _LATE:  # else it is told as soon as time has gone on
+                self._send(stamp)
 
     def _repeat(self) -> None:
         with self._lock:

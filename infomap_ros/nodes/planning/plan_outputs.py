@@ -12,7 +12,7 @@ from std_msgs.msg import ColorRGBA
 from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import Marker, MarkerArray
 
-from infomap_ros.exploration.records.rating_text import rating_text
+from infomap_ros.exploration.records.log_records import rating_text
 from infomap_ros.exploration.robot import Choice
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.messages.motions import (

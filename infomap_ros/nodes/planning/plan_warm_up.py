@@ -13,7 +13,7 @@ from infomap_ros.geometry import PinholeCamera, StereoRig
 from infomap_ros.geometry.resources import find_share
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
-from infomap_ros.motion import RobotModel
+from infomap_ros.motion.robot.robot_model import RobotModel
 from infomap_ros.views.next_best_view import NextBestViewConfig
 from infomap_ros.views.sampling.candidates import CandidateConfig
 

@@ -13,7 +13,7 @@ from infomap_ros.geometry import JointStateRecord, OdometryRecord, PlacedSolid, 
 from infomap_ros.geometry.pose_buffer import PoseBufferConfig
 from infomap_ros.localization.filter.motion_prior import RobotPosture
 from infomap_ros.messages import decode_joint_state
-from infomap_ros.motion import RobotModel
+from infomap_ros.motion.robot.robot_model import RobotModel
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.robot.description_listener import DescriptionListener, warn_of_left_out

@@ -10,7 +10,7 @@ from sensor_msgs.msg import JointState
 
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.messages import decode_joint_state
-from infomap_ros.motion.robot.description_config import DescriptionConfig
+from infomap_ros.motion.robot.robot_model import DescriptionConfig
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.robot.description_listener import DescriptionListener, warn_of_left_out

@@ -21,15 +21,14 @@ from infomap_ros.messages import (
     decode_joint_state,
     decode_pose_with_covariance,
 )
-from infomap_ros.motion import RobotModel
-from infomap_ros.motion.robot.description_config import DescriptionConfig
+from infomap_ros.motion.robot.robot_model import DescriptionConfig, RobotModel
+from infomap_ros.motion.robot.urdf import hash_of_description
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.common.lockstep import LockstepTime
 from infomap_ros.nodes.robot.description_listener import DescriptionListener, warn_of_left_out
 from infomap_ros.nodes.robot.odometry_listener import OdometryListener
 from infomap_ros.pipeline.tracked_robot import TrackedRobot
-from infomap_ros.team.agents import hash_of_description
 
 
 @dataclass(frozen=True)
@@ -126,7 +125,7 @@ class RobotTracker:
 
     @property
     def description_hash(self) -> str:
-        """Of robot_description, see `team.agents.hash_of_description`; empty before it has come."""
+        """Of robot_description, see `hash_of_description`; empty before it has come."""
         with self._news:
             return self._description_hash
 

@@ -36,6 +36,8 @@ def simulated_driver(robot: str = "") -> dict[str, Any]:
     known = RobotFile.read(robot) if robot else RobotFile(_ROVER)
     ready = ready_robot(read_description(known.description_path), known.setup)
     joints = ", ".join(ready.setup.arm_joints)
+    if not joints:
+        return {"arm": "none", "base": "follow_path"}
     return {
         "arm": "follow_joint_trajectory",
         "controllers": [f"{ARM_CONTROLLER}: {joints}"],

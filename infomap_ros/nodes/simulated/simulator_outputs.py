@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -23,9 +23,12 @@ from infomap_ros.geometry import (
     PoseRecord,
     Record,
     TextRecord,
+    TransformRecord,
+    invert_transform,
 )
 from infomap_ros.geometry.config import check_config, parameter, setting
 from infomap_ros.messages import (
+    TF,
     encode,
     encode_camera_info,
     encode_clock,
@@ -33,11 +36,12 @@ from infomap_ros.messages import (
     encode_joint_state,
     encode_pose,
     encode_text,
+    encode_transforms,
 )
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
-from infomap_ros.nodes.common.message_types import RclpyMessageTypes
-from infomap_ros.nodes.simulated.simulator_frames import SimulatorFrames
+from infomap_ros.nodes.common.message_types import RclpyMessageTypes, message_class
+from infomap_ros.simulation.body.robot import fixed_frames, moving_frames
 from infomap_ros.simulation.sensor_schedule import (
     SIDES,
     Periodic,
@@ -45,6 +49,43 @@ from infomap_ros.simulation.sensor_schedule import (
     SensorScheduleConfig,
 )
 from infomap_ros.simulation.simulator import Simulator
+
+
+class SimulatorFrames:
+    """Publishes /tf and /tf_static; without tf2_msgs it says so once and publishes nothing.
+
+    Args:
+        node: that publishes.
+        simulator: the robot.
+    """
+
+    def __init__(self, node: MonitoredNode, simulator: Simulator) -> None:
+        self._simulator, self._types = simulator, RclpyMessageTypes()
+        self._moving = moving_frames(simulator.description)
+        self._publisher = None
+        try:
+            kind = message_class(TF)
+        except ModuleNotFoundError:
+            node.get_logger().warning("no /tf: tf2_msgs is not installed")
+            return
+        self._publisher = node.advertise(kind, "/tf", qos.stream(depth=100))
+        self._static = node.advertise(kind, "/tf_static", qos.latched())
+        edges = [replace(e, stamp=simulator.stamp) for e in fixed_frames(simulator.description)]
+        self._static.publish(encode_transforms(self._types, edges))
+
+    def publish(self, odometry: OdometryRecord) -> None:
+        """Publish odom and the links that joints move, at the stamp of the odometry."""
+        if self._publisher is None:
+            return
+        stamp, simulator = odometry.stamp, self._simulator
+        edges = [
+            TransformRecord(stamp, odometry.frame_id, odometry.child_frame_id, odometry.transform)
+        ]
+        for parent, child in self._moving:
+            T_parent_child = invert_transform(simulator.frame(parent)) @ simulator.frame(child)
+            edges.append(TransformRecord(stamp, parent, child, T_parent_child))
+        self._publisher.publish(encode_transforms(self._types, edges))
+
 
 _POSE = PoseWithCovarianceStamped
 

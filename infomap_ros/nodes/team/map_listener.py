@@ -19,7 +19,11 @@ from infomap_ros.nodes.team.team_exchange import TeamExchange
 from infomap_ros.nodes.team.team_identity import TeamIdentityConfig
 from infomap_ros.nodes.team.team_inbox import TeamInbox
 from infomap_ros.nodes.team.team_topics import UPDATES
-from infomap_ros.team import TeamConfig, TeamMember, decode_update, draw_session, version_at
+from infomap_ros.team.config import TeamConfig
+from infomap_ros.team.member import TeamMember
+from infomap_ros.team.membership import draw_session
+from infomap_ros.team.versions import version_at
+from infomap_ros.team.wire import decode_update
 
 Rows = NDArray[np.void]
 _GROWTH = 1.01  # by this factor the map must grow to count as growing

@@ -19,8 +19,9 @@ from infomap_ros.nodes.robot.robot_tracker import RobotTracker, RobotTrackerConf
 from infomap_ros.nodes.team.agents_topic import listen_to_agents
 from infomap_ros.nodes.team.team_identity import TeamIdentityConfig
 from infomap_ros.nodes.team.team_topics import AGENTS
-from infomap_ros.team import draw_session, version_at
 from infomap_ros.team.agents_config import AgentsConfig
+from infomap_ros.team.membership import draw_session
+from infomap_ros.team.versions import version_at
 
 _TICK = 0.05  # between two looks whether there is something to tell [s]
 _HEARTBEAT = 1.0  # longest time without a message, also where nothing moves [s]

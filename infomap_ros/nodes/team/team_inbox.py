@@ -19,9 +19,9 @@ from infomap_ros.messages.rows import decode_rows
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.common.worker import Worker
-from infomap_ros.team import MAX_MESSAGE_BYTES
 from infomap_ros.team.authentication import TeamKey
 from infomap_ros.team.message_header import header_of
+from infomap_ros.team.wire import MAX_MESSAGE_BYTES
 
 Rows = NDArray[np.void]
 

@@ -23,8 +23,10 @@ from infomap_ros.nodes.team.team_exchange import TeamExchange
 from infomap_ros.nodes.team.team_inbox import TeamInbox
 from infomap_ros.nodes.team.team_topics import UPDATES
 from infomap_ros.pipeline.scan_synchronizer import ScanSynchronizerConfig
-from infomap_ros.team import TeamConfig, TeamMember, decode_update
+from infomap_ros.team.config import TeamConfig
 from infomap_ros.team.digest import decode_digest
+from infomap_ros.team.member import TeamMember
+from infomap_ros.team.wire import decode_update
 
 Rows = NDArray[np.void]
 

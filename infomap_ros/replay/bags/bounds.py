@@ -17,6 +17,8 @@ from infomap_ros.errors import BagError
 _MCAP_START = 8  # bytes of its magic, at both ends
 _MCAP_HEADER = struct.Struct("<BQ")  # opcode and length of a record
 
+_ZSTD = b"\x28\xb5\x2f\xfd"  # begins what is packed; CDR begins with a zero
+
 MOST_CHUNK = 1 << 28
 """Content of a chunk [byte]: recorders close one after 1 to 4 MB; one message may be larger."""
 
@@ -47,6 +49,11 @@ def unpacked_chunk(compression: str, packed: bytes, size: int) -> bytes:
     if unpacker.eof and unpacker.unused_data:
         raise ValueError("a chunk holds something beside its content")
     return b"".join(parts)
+
+
+def unpacked_cdr(data: bytes) -> bytes:
+    """A message as CDR: rosbag2 may pack each by itself, which only its metadata.yaml tells."""
+    return unpacked_chunk("zstd", data, MOST_CHUNK) if data[:4] == _ZSTD else data
 
 
 def bound_rosbags() -> None:

@@ -17,7 +17,7 @@ from infomap_ros.errors import BagError, MalformedMessageError
 from infomap_ros.geometry.records import Record
 from infomap_ros.messages import DECODABLE_TYPES, decode
 from infomap_ros.replay.bags.blocks import Salvage, SalvagedSource
-from infomap_ros.replay.bags.bounds import bound_rosbags, check_lengths, check_tables
+from infomap_ros.replay.bags.bounds import bound_rosbags, check_lengths, check_tables, unpacked_cdr
 from infomap_ros.replay.bags.salvage_mcap import salvage_mcap
 from infomap_ros.replay.bags.salvage_rosbag1 import salvage_rosbag1
 from infomap_ros.replay.bags.salvage_sqlite import salvage_sqlite, stated_size
@@ -178,7 +178,7 @@ class BagReader:
 
     def _converter(self) -> Callable[[bytes, str], bytes]:
         if not self._source.is_ros1:
-            return lambda data, _: data
+            return lambda data, _: unpacked_cdr(data)
         # the header of ROS 1 has one field more, which the conversion leaves out
         store = typestore_of(self._source.channels, omit=["std_msgs/msg/Header"])
         return lambda data, type_name: bytes(store.ros1_to_cdr(data, type_name))
@@ -211,7 +211,7 @@ class BagReader:
             if self._source.is_ros1:
                 message = self._store.deserialize_ros1(data, name)
             else:
-                message = self._store.deserialize_cdr(data, name)
+                message = self._store.deserialize_cdr(unpacked_cdr(data), name)
         except DAMAGE as error:
             problem = f"cannot be deserialized ({error})"
             raise MalformedMessageError(name, problem) from error

@@ -13,8 +13,7 @@ from infomap_ros.localization.fiducials.sparse_stereo import SparseStereoConfig
 from infomap_ros.localization.localizer_config import LocalizerConfig
 from infomap_ros.localization.target.config import TargetConfig
 from infomap_ros.messages import ODOMETRY
-from infomap_ros.motion import RobotModel
-from infomap_ros.motion.robot.description_config import DescriptionConfig
+from infomap_ros.motion.robot.robot_model import DescriptionConfig, RobotModel
 from infomap_ros.pipeline.perception import Perception
 from infomap_ros.pipeline.robot_motion import RobotMotion
 from infomap_ros.pipeline.view_estimator import (

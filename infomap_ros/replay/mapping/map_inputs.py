@@ -2,14 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from itertools import islice
 
-from infomap_ros.errors import BagError, RobotModelError
-from infomap_ros.geometry import PoseBufferConfig, WaitingQueueConfig
+import numpy as np
+
+from infomap_ros.errors import BagError, FrameError, PoseUnavailableError, RobotModelError
+from infomap_ros.exploration.reports.report_page.axes import rounded_up
+from infomap_ros.geometry import (
+    OdometryRecord,
+    PoseBufferConfig,
+    PoseRecord,
+    Record,
+    TransformRecord,
+    WaitingQueueConfig,
+)
 from infomap_ros.geometry.assumed_pose import AssumedPoseConfig
 from infomap_ros.geometry.config import parameter, parameters_of
+from infomap_ros.geometry.transform_tree import TransformTree
+from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.localization.dead_reckoning import DeadReckoningConfig
 from infomap_ros.localization.fiducials.sparse_stereo import SparseStereoConfig
 from infomap_ros.localization.localizer_config import LocalizerConfig
@@ -18,12 +30,12 @@ from infomap_ros.mapping import VoxelMapConfig
 from infomap_ros.mapping.correction.reintegration import ReintegrationConfig
 from infomap_ros.mapping.correction.scan_store import ScanStoreConfig
 from infomap_ros.mapping.scans.body import BodyFilterConfig
-from infomap_ros.motion.robot.description_config import DescriptionConfig
-from infomap_ros.pipeline.camera_poses import CameraPoses
+from infomap_ros.motion.robot.robot_model import DescriptionConfig
 from infomap_ros.pipeline.perception import Perception
 from infomap_ros.pipeline.range_estimator import (
     DepthRangeEstimator,
     RangeEstimator,
+    RangeMeasurement,
     StereoRangeEstimator,
 )
 from infomap_ros.pipeline.robot_body import RobotBody
@@ -47,7 +59,103 @@ from infomap_ros.replay.localizing.localize_inputs import (
     MotionInputConfig,
     find_localize_inputs,
 )
+from infomap_ros.replay.localizing.localize_run import records_of
 from infomap_ros.stereo import DepthCameraConfig, StereoConfig
+
+
+class CameraPoses:
+    """Poses of the camera's optical frame in the map frame.
+
+    A pose topic tells the pose of one frame: that which its message names (odometry), else
+    `pose_frame`, else the camera itself. From there to the camera the edges of tf lead, which
+    come from a robot's joints and are taken as exact. Where tf alone tells the pose, its
+    covariance is unknown.
+
+    Attributes:
+        camera_frame: the camera's optical frame.
+        map_frame: the frame in which poses are told; empty before the first.
+    """
+
+    def __init__(
+        self,
+        camera_frame: str,
+        config: PoseBufferConfig | None = None,
+        *,
+        by_tf: bool = False,
+        map_frame: str = "",
+        pose_frame: str = "",
+        static: Iterable[TransformRecord] = (),
+    ) -> None:
+        """Start with the fixed edges.
+
+        Args:
+            camera_frame: the camera's optical frame.
+            config: of the poses that are kept.
+            by_tf: True where no pose topic is used.
+            map_frame: frame of the map; that of the first pose where empty, with tf alone
+                ``map`` if there is one, else the topmost frame.
+            pose_frame: frame of which the pose topic tells the pose, where its messages do not.
+            static: edges of tf_static.
+        """
+        self.camera_frame, self.map_frame = camera_frame, map_frame
+        self._by_tf, self._pose_frame = by_tf, pose_frame
+        self._posed = ""  # frame of which the pose topic tells the pose
+        self._base = ""  # frame in which it does
+        self._tree = TransformTree(config)
+        for edge in static:
+            self._tree.add_transform(edge)
+
+    def add(self, record: Record) -> None:
+        """Take a pose, odometry or transform; other records are ignored.
+
+        Raises:
+            FrameError: the frames contradict those before.
+        """
+        if isinstance(record, TransformRecord):
+            self._add_transform(record)
+        elif isinstance(record, PoseRecord) and not self._by_tf:
+            told = record.child_frame_id if isinstance(record, OdometryRecord) else ""
+            self._posed = told or self._pose_frame or self.camera_frame
+            self._base = record.frame_id
+            self.map_frame = self.map_frame or record.frame_id
+            self._tree.add_pose(record, self._posed)
+
+    def _add_transform(self, edge: TransformRecord) -> None:
+        if edge.child_frame_id == self._posed:
+            return  # the pose topic tells more of the same edge
+        if edge.is_static or self._by_tf or edge.child_frame_id == self._base:
+            self._tree.add_transform(edge)
+            return
+        exact = PoseRecord(edge.stamp, edge.frame_id, edge.transform, np.zeros((6, 6)))
+        self._tree.add_pose(exact, edge.child_frame_id)
+
+    def at(self, stamp: int) -> PoseRecord:
+        """Pose of the camera at a time.
+
+        Args:
+            stamp: [ns].
+
+        Raises:
+            PoseUnavailableError: it is not known at that time.
+        """
+        map_frame = self.map_frame or self._top_frame()
+        if not map_frame:
+            raise PoseUnavailableError("no pose has arrived", "no pose", may_arrive=True)
+        try:
+            return self._tree.at(map_frame, self.camera_frame, stamp)
+        except FrameError as error:
+            reason = f"frame {self.camera_frame} has no place in {map_frame}"
+            raise PoseUnavailableError(str(error), reason, may_arrive=True) from error
+
+    def others_have_jumped(self, stamp: int) -> None:
+        """The images' clock has jumped back; each edge notices that by its own stamps."""
+
+    def _top_frame(self) -> str:
+        if not self._by_tf:
+            return ""
+        top = self._tree.root_of(self.camera_frame)
+        return "" if top == self.camera_frame else top
+
 
 _LOOKED_AT = 2000  # transforms from which the map frame is chosen
 
@@ -72,6 +180,12 @@ class MapInputConfig(ImageInputConfig):
     )
     remove_body: bool = parameter(
         True, "Drop points on the robot's own body, where the bag has its description."
+    )
+    fit_scene: bool = parameter(
+        True,
+        "In a scene of which the first images show most beyond max_range, as in a street, map "
+        "farther and with larger voxels; not where map.max_range, map.voxel_size or "
+        "stereo.max_depth was set.",
     )
 
 
@@ -136,6 +250,55 @@ class MapInputs:
     def map_frame(self) -> str:
         """Frame of the map."""
         return self.poses.map_frame
+
+
+_FIRST, _READ = 3, 100  # frames by which the scene is judged, and records read for them at most
+_FARTHEST = 500.0  # [m] to which they are searched
+_KNOWN = 0.05  # largest deviation of what is mapped, as a share of its distance
+_FINEST = 300.0  # voxels along the range of the map, at most
+_ROUND = (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)
+
+
+def fitted_to_scene(bag: Recording, options: MapOptions) -> MapOptions:
+    """The options with the sizes that a large scene needs; as they are where some were set.
+
+    The map reaches as far as ranges are known to `_KNOWN`. A voxel is two standard deviations of
+    what is near, at least a `_FINEST` of that range: rays take time and room by voxels.
+    """
+    usual, usual_depth = VoxelMapConfig(), StereoConfig().max_depth
+    sizes = (options.map.max_range, options.map.voxel_size, options.stereo.max_depth)
+    if not options.input.fit_scene or sizes != (usual.max_range, usual.voxel_size, usual_depth):
+        return options
+    distances, sigmas = _first_distances(bag, options)
+    known = distances[sigmas <= _KNOWN * distances]
+    is_large = len(known) > 0 and np.median(distances) > usual.max_range
+    reach = _rounded(float(np.quantile(known, 0.95))) if is_large else 0.0
+    if reach <= usual.max_range:
+        return options
+    size = _rounded(max(2.0 * float(np.quantile(sigmas, 0.25)), reach / _FINEST))
+    return replace(
+        options,
+        map=replace(options.map, max_range=reach, voxel_size=max(size, usual.voxel_size)),
+        stereo=replace(options.stereo, max_depth=reach * usual_depth / usual.max_range),
+    )
+
+
+def _rounded(length: float) -> float:
+    return round(rounded_up(length, 0.05, _ROUND), 9)
+
+
+def _first_distances(bag: Recording, options: MapOptions) -> FloatArray:
+    """Distances and standard deviations of what the first frames show [m], shape (2, N)."""
+    far = replace(options, stereo=replace(options.stereo, max_depth=_FARTHEST))
+    perception, skipped = _find_range(bag, far), bag.skipped.copy()
+    records = islice(records_of(bag, perception.sources.names), _READ)
+    scans = (seen for seen in perception.see(records) if isinstance(seen, RangeMeasurement))
+    clouds = [scan.cloud for scan in islice(scans, _FIRST)]
+    bag.skipped.clear()  # the run reads these records again, and counts what is bad among them
+    bag.skipped.update(skipped)
+    distances = [np.linalg.norm(cloud.points, axis=1) for cloud in clouds]
+    variances = [np.trace(cloud.covariances, axis1=1, axis2=2) for cloud in clouds]
+    return np.array([np.concatenate([[], *distances]), np.sqrt(np.concatenate([[], *variances]))])
 
 
 def find_inputs(bag: Recording, options: MapOptions) -> MapInputs:

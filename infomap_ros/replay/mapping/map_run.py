@@ -7,8 +7,6 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import closing
 
-import numpy as np
-
 from infomap_ros.errors import BagError, CapacityError
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap
@@ -24,6 +22,7 @@ from infomap_ros.replay.mapping.map_inputs import (
     MapInputs,
     MapOptions,
     find_inputs,
+    fitted_to_scene,
     localize_options,
 )
 
@@ -51,21 +50,18 @@ Progress = Callable[[int, int], None]
 """Told how many of how many frames are done."""
 
 
-_EVERY = 10  # row and column of a cloud whose distances are looked at
-
-
 class MapRun:
     """Maps a bag, frame by frame as its records come.
 
     Attributes:
         name: of the bag.
         inputs: what the bag offers.
+        fitted: whether the map's range and voxels were made as large as the scene needs.
         builder: of the map.
         log: how the camera was located, empty where the bag tells its poses.
         frames: number of frames that are in the map.
         points: number of points that are in the map.
         points_beyond: number of points that were too far for it.
-        reaches: distance within which nine of ten points of a frame lie [m], of each frame.
         dropped: frames that are not, by reason.
         first: the first measurement in the map.
         T_map_camera: pose of the camera at the newest frame, shape (4, 4); None before the first.
@@ -84,11 +80,12 @@ class MapRun:
             RobotModelError: its robot description cannot be used.
         """
         self._bag, self.name = bag, bag.path.resolve().name
-        settings = options or MapOptions()
+        given = options or MapOptions()
+        settings = fitted_to_scene(bag, given)
+        self.fitted = settings is not given
         self.inputs: MapInputs = find_inputs(bag, settings)
         self.log = LocalizationLog()
         self.frames = self.points = self.points_beyond = 0
-        self.reaches: list[float] = []
         self.dropped: Counter[str] = Counter()
         self.first: RangeMeasurement | None = None
         self.camera_path: list[FloatArray] = []
@@ -176,10 +173,6 @@ class MapRun:
             self.frames += 1
             self.points += done.report.points_used
             self.points_beyond += done.report.points_out_of_range
-            points = done.scan.cloud.cloud.organized_points[::_EVERY, ::_EVERY].reshape(-1, 3)
-            distances = np.linalg.norm(points[np.isfinite(points).all(axis=1)], axis=1)
-            if len(distances):
-                self.reaches.append(float(np.quantile(distances, 0.9)))
             self.first = self.first or done.scan.cloud
             self.T_map_camera = done.scan.pose.transform
             self.camera_path.append(self.T_map_camera[:3, 3])
@@ -223,6 +216,7 @@ class MapRun:
             "interrupted": int(self.stopped),
             "frames_dropped": sum(self.dropped.values()),
             "voxel_size": self.map.config.voxel_size,
+            "max_range": self.map.config.max_range,
             "map_frame": self.inputs.map_frame,
             "range_topic": self.inputs.perception.sources.images[0],
             "pose_topic": self.inputs.pose_topic or "(localization)",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 from infomap_ros.errors import BagError, InvalidInputError
@@ -16,6 +17,7 @@ def convert(
     out: Path,
     options: SequenceOptions | None = None,
     overwrite: bool = False,
+    say: Callable[[str], None] = lambda text: None,
 ) -> int:
     """Write a folder of images as a bag.
 
@@ -25,6 +27,7 @@ def convert(
         out: folder of the bag.
         options: what is told beside what is found.
         overwrite: replace a bag that is there.
+        say: is told what was left out or assumed, in sentences.
 
     Returns:
         Number of messages.
@@ -44,6 +47,8 @@ def convert(
         for entry in reader.records():
             writer.write(entry.topic, entry.record)
             count += 1
+    for text in (*reader.problems, *reader.skipped):
+        say(text)
     return count
 
 

@@ -35,6 +35,7 @@ _MODELS = {
 }
 """Distortion models by the names that files give them."""
 
+_NEAR_EDGE = 0.3  # share of an image: of half and of double size the principal point lies beyond
 _LARGEST = 10_000_000  # bytes of a calibration file
 _UNREADABLE = (
     OSError,
@@ -122,16 +123,16 @@ def _read(path: Path, size: Size) -> Calibration:
     try:
         text = _text_of(path)
         if "opencv-matrix" in text or "opencv_storage" in text:
-            return _opencv(path, size)
+            return _of_size(_opencv(path, size), size)
         if re.search(r"^Camera1?\.fx\s*:", text, re.MULTILINE):
-            return _orb_slam(text, size)
+            return _of_size(_orb_slam(text, size), size)
         if re.search(r"^\s*cam0\s*=\s*\[", text, re.MULTILINE):
-            return _middlebury(text, size)
+            return _of_size(_middlebury(text, size), size)
         if re.search(r"^P(_rect_0)?[0-3]:", text, re.MULTILINE) or _is_numbers(text, 12):
-            return _kitti(text, size, path)
+            return _of_size(_kitti(text, size, path), size)
         if _is_numbers(text, 3):
             matrix = np.loadtxt(path)
-            return Calibration((_pinhole(matrix, size),), is_rectified=True)
+            return _of_size(Calibration((_pinhole(matrix, size),), is_rectified=True), size)
         content = yaml.safe_load(re.sub(r"^%YAML.*$", "", text, flags=re.MULTILINE))
         for key, read in _YAML_READERS.items():
             if isinstance(content, dict) and key in content:
@@ -146,6 +147,25 @@ def _read(path: Path, size: Size) -> Calibration:
         "(sensor.yaml), ROS (camera_info yaml), OpenCV (yml or xml), ORB-SLAM (Camera.fx), KITTI "
         "or Middlebury (calib.txt), or a 3x3 matrix"
     )
+
+
+def _of_size(calibration: Calibration, size: Size) -> Calibration:
+    """Refuse numbers of images of another size, where a file does not tell its own.
+
+    Another size moves the principal point towards a corner: along both axes by one factor.
+    """
+    for camera in calibration.cameras:
+        place = camera.intrinsics[:2, 2] / size
+        is_inside = (place > 0.0).all() and (place < 1.0).all()
+        near_corner = (place < _NEAR_EDGE).all() or (place > 1.0 - _NEAR_EDGE).all()
+        if (camera.width, camera.height) == size and (near_corner or not is_inside):
+            u, v = camera.intrinsics[:2, 2]
+            raise CalibrationError(
+                f"has its principal point at ({u:.0f}, {v:.0f}) px, and the images have "
+                f"{size[0]}x{size[1]} px: it is that of another size (if not, give one that "
+                "states the size, as ROS has it)"
+            )
+    return calibration
 
 
 def _text_of(path: Path) -> str:

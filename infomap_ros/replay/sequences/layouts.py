@@ -110,6 +110,9 @@ def images(folder: Path, options: SequenceOptions) -> ImageSequence:
         depth = _files(folder, options.depth, options.color, _DEPTHS, _DEPTH_NAMES)
         if depth is None and options.depth:
             depth = (_matching(folder, options.depth), [])
+        elif depth is None and (alone := images_in(folder / "depth")):
+            depth = (alone, [])
+    options = _with_poses(folder, options, ("poses.txt", "groundtruth.txt"))
     if depth is not None:
         return _depth_sequence("images", folder, *_stamped(*depth, options), options)
     if stereo is None:
@@ -305,8 +308,7 @@ def _calibration(
     folder: Path, options: SequenceOptions, first: Stamped, known: PinholeCamera | None = None
 ) -> tuple[Calibration, str]:
     """The calibration, and where it is from."""
-    pixels = read_image(first[0][1])
-    size = (pixels.shape[1], pixels.shape[0])
+    size = _size_of(first)
     files = list(options.calibration)
     if not files:
         for names in _CALIBRATIONS:
@@ -317,11 +319,28 @@ def _calibration(
     if files:
         return read_calibration(files, size), ", ".join(str(path) for path in files)
     if known is not None and (known.width, known.height) == size:
-        return Calibration((_plain(known),), is_rectified=True), "the layout's own"
+        said = f"no calibration in {folder}: {known.fx:g} px of focal length are assumed"
+        return Calibration((_plain(known),), is_rectified=True), said
     raise CalibrationError(
         f"no calibration in {folder} (it holds {listing(folder)}): give one by --calibration, "
         "of Kalibr, EuRoC, ROS, OpenCV, KITTI or Middlebury"
     )
+
+
+def _size_of(images: Stamped) -> tuple[int, int]:
+    """Width and height of the first image that can be read [px].
+
+    Raises:
+        BagError: none can.
+    """
+    failure = BagError("there is no image")
+    for _, path in images:
+        try:
+            height, width = read_image(path).shape[:2]
+            return width, height
+        except BagError as error:
+            failure = error
+    raise failure
 
 
 def _plain(camera: PinholeCamera) -> CameraCalibration:
@@ -360,7 +379,8 @@ def _depth_sequence(
     poses: Sequence[tuple[int, FloatArray]] | None = None,
 ) -> ImageSequence:
     """Depth images; where the calibration is of two cameras, they are registered to the color."""
-    calibration, _ = _calibration(folder, options, depth, known)
+    calibration, found = _calibration(folder, options, depth, known)
+    remarks = (found,) if found.startswith("no calibration") else ()
     unit = options.depth_unit or 1e-3
     camera, T_color_depth = calibration.cameras[0], calibration.T_second_first
     change = lambda pixels: _in_meters(pixels, unit)  # noqa: E731
@@ -377,11 +397,11 @@ def _depth_sequence(
     if color:
         streams.append(Stream("rgb", frame, camera, True, color))
     if poses is None:
-        found = _poses(options, depth, calibration, np.eye(4))
+        path = _poses(options, depth, calibration, np.eye(4))
     else:
         T_map_world = levelled(options.down)
-        found = [(stamp, T_map_world @ pose @ invert_transform(shift)) for stamp, pose in poses]
-    return ImageSequence(layout, tuple(streams), found)
+        path = [(stamp, T_map_world @ pose @ invert_transform(shift)) for stamp, pose in poses]
+    return ImageSequence(layout, tuple(streams), path, remarks)
 
 
 def _pinhole(camera: CameraCalibration) -> PinholeCamera:

@@ -90,11 +90,13 @@ class ImageSequence:
         streams: as many images in each.
         poses: stamps [ns] and T_map_camera of the (rectified) first camera, shape (4, 4); empty
             where nobody knows.
+        remarks: what was assumed, in sentences.
     """
 
     layout: str
     streams: tuple[Stream, ...]
     poses: Sequence[tuple[int, FloatArray]] = ()
+    remarks: tuple[str, ...] = ()
 
     def events(self) -> Iterator[tuple[str, int, Callable[[], Record]]]:
         """Topic, stamp and maker of every record, in order of time."""
@@ -123,7 +125,7 @@ class SequenceReader:
 
     def __init__(self, path: Path, sequence: ImageSequence) -> None:
         self.path, self.sequence = path, sequence
-        self.problems: list[str] = []
+        self.problems = list(sequence.remarks)
         self.skipped: Counter[str] = Counter()
         frames = len(sequence.streams[0].files)
         types = {POSE_TOPIC: POSE_WITH_COVARIANCE} if sequence.poses else {}
@@ -138,12 +140,24 @@ class SequenceReader:
         """Records in order of time.
 
         Raises:
-            BagError: an image cannot be read, or has another size than its calibration.
+            BagError: no image can be used: none can be read, or all have another size than their
+                calibration. One among others that can is counted in `skipped`.
         """
         wanted = self.topics if topics is None else topics
+        whole, failure = 0, None
         for topic, stamp, make in self.sequence.events():
-            if topic in wanted:
-                yield BagRecord(topic, stamp, make())
+            if topic not in wanted:
+                continue
+            try:
+                record = make()
+            except BagError as error:
+                failure = failure or error
+                self.skipped[f"{topic}: {error}"] += 1
+                continue
+            whole += isinstance(record, ImageRecord)
+            yield BagRecord(topic, stamp, record)
+        if failure is not None and not whole:
+            raise failure
 
     def __enter__(self) -> SequenceReader:
         return self

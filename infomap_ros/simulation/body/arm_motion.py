@@ -9,8 +9,8 @@ from numpy.typing import ArrayLike
 
 from infomap_ros.errors import InvalidInputError, RobotModelError
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.motion import RobotModel
-from infomap_ros.motion.robot.mimicry import Follower
+from infomap_ros.motion.robot.robot_model import RobotModel
+from infomap_ros.motion.robot.urdf import Follower
 from infomap_ros.simulation.body.robot_body import RobotBody
 
 _TOLERANCE = 0.01  # [rad or m]

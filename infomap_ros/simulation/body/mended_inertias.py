@@ -11,7 +11,7 @@ from infomap_ros.errors import RobotModelError
 from infomap_ros.geometry.transforms import FloatArray
 
 _KEYS = (("ixx", "ixy", "ixz"), ("ixy", "iyy", "iyz"), ("ixz", "iyz", "izz"))
-_TOLERANCE = 1e-6  # share of the largest moment by which the others may fall short
+_TOLERANCE = 1e-6  # share of the largest moment by which the sum of the others must exceed it
 _LEAST_SHARE = 1e-3  # of the largest moment that the smallest one is given
 _LEAST_MASS = 0.01  # of a link that moves and has none [kg]
 _LEAST_RADIUS = 0.01  # of the ball that such a link is taken for [m]
@@ -33,7 +33,9 @@ def mend_inertias(robot: ElementTree.Element) -> list[MendedInertia]:
     """Replace inertias that no body can have by the nearest that one can, in place.
 
     Main moments a <= b <= c must be positive with a + b >= c; where c is larger, a and b grow by
-    the same. A link that a joint moves, and that has no mass together with all that is fixed to
+    the same. Those of a flat body, a + b = c, grow by a millionth unsaid: rounding may refuse them.
+
+    A link that a joint moves, and that has no mass together with all that is fixed to
     it, becomes a ball of 10 g.
 
     Args:
@@ -74,12 +76,14 @@ def _mend(element: ElementTree.Element, link: str) -> str:
     if not matrix.any():
         return ""  # as of a frame; counted as no mass
     possible = _possible(moments)
-    if np.allclose(possible, moments, rtol=0.0, atol=_TOLERANCE * abs(moments).max()):
+    if np.array_equal(possible, moments):
         return ""
     repaired = axes @ np.diag(possible) @ axes.T
     for row, keys in enumerate(_KEYS):
         for column, key in enumerate(keys):
             element.set(key, repr(float(repaired[row, column])))
+    if np.allclose(possible, moments, rtol=0.0, atol=2.0 * _TOLERANCE * abs(moments).max()):
+        return ""
     numbers = ", ".join(f"{moment:.3g}" for moment in moments)
     return (
         f"main moments {numbers} kg m^2 are those of no body; "
@@ -93,8 +97,8 @@ def _possible(moments: FloatArray) -> FloatArray:
     largest = float(np.abs(moments).max())
     possible = np.maximum(moments, _LEAST_SHARE * largest)
     lacking = possible[2] - possible[0] - possible[1]
-    if lacking > _TOLERANCE * largest:
-        possible[:2] += 0.5 * (1.0 + _LEAST_SHARE) * lacking
+    if lacking > -_TOLERANCE * largest:
+        possible[:2] += 0.5 * ((1.0 + _LEAST_SHARE) * max(lacking, 0.0) + _TOLERANCE * largest)
     return np.asarray(possible)
 
 

@@ -4,21 +4,81 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+import cv2
+import mujoco
 import numpy as np
 
 from infomap_ros.errors import RobotModelError, SimulationError
-from infomap_ros.geometry import make_transform
+from infomap_ros.geometry import make_transform, quaternion_from_transform
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.localization.target.tag_board import TagBoardConfig
+from infomap_ros.localization.target.tag_board import TagBoard, TagBoardConfig, cells
+from infomap_ros.localization.target.tag_drawing import draw_board
 from infomap_ros.simulation.body.dynamics import DynamicsConfig, add_dynamics
 from infomap_ros.simulation.body.robot import add_robot
 from infomap_ros.simulation.body.robot_setup import RobotSetupConfig
-from infomap_ros.simulation.body.tag_plates import add_tag_plates
 from infomap_ros.simulation.body.teammate_body import TeammateBody, add_teammate
 from infomap_ros.simulation.body.trial import TrialModel, measure_robot
-from infomap_ros.simulation.worlds.builder import World
+from infomap_ros.simulation.worlds.builder import World, add_cube_material
+from infomap_ros.simulation.worlds.textures import Image
 
-import mujoco  # isort: skip  # after the backend has been chosen
+# Tags on a simulated robot, by which its teammates find it.
+#
+# They are seen, and neither touched nor heavy: what they hang on is the robot's description.
+
+_THICKNESS = 0.005  # [m]
+_TEXTURE = 256  # [px]
+_WHITE = 230  # paper does not reflect all light
+_FACE = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])  # of the plate, x out of it
+
+
+def add_tag_plates(spec: mujoco.MjSpec, link: str, tags: TagBoardConfig) -> None:
+    """Hang a plate for each tag on a robot in a world that is being built.
+
+    Args:
+        spec: the world.
+        link: name of the robot's base in it.
+        tags: where they are in the frame of the base (`localization.target.robot_tags.tag_pose`).
+
+    Raises:
+        RobotModelError: there is no such link.
+    """
+    body = spec.body(link)
+    if body is None:
+        raise RobotModelError(f"there is no link '{link}' for tags")
+    board = TagBoard(tags)
+    cell = tags.side / cells(tags.family)
+    edge = tags.side + 2.0 * cell
+    back = make_transform(_FACE, (0.0, 0.0, -0.5 * _THICKNESS))
+    for tag, pose in zip(board.ids, board.tag_poses, strict=True):
+        name, place = f"{link}/tag_{tag}", pose @ back
+        add_cube_material(spec, name, _faces(tags, tag, cell))
+        x, y, z, w = quaternion_from_transform(place)
+        body.add_geom(
+            name=name,
+            type=mujoco.mjtGeom.mjGEOM_BOX,
+            size=(0.5 * _THICKNESS, 0.5 * edge, 0.5 * edge),
+            pos=place[:3, 3],
+            quat=(w, x, y, z),
+            material=name,
+            mass=0.0,
+            contype=0,
+            conaffinity=0,
+        )
+
+
+def _faces(tags: TagBoardConfig, tag: int, cell: float) -> tuple[Image, ...]:
+    """The print on the face +x, with a white rim of one cell; the others are gray."""
+    one = TagBoardConfig(
+        family=tags.family, side=tags.side, columns=1, rows=1, margin=cell, first_id=tag
+    )
+    width, _ = TagBoard(one).size
+    drawn = cv2.resize(
+        draw_board(one, 2.0 * _TEXTURE / width), (_TEXTURE, _TEXTURE), interpolation=cv2.INTER_AREA
+    )
+    pixels = (drawn.astype(np.float64) * (_WHITE / 255.0)).astype(np.uint8)
+    gray = np.full((_TEXTURE, _TEXTURE, 3), 128, np.uint8)
+    return (np.rot90(np.repeat(pixels[..., None], 3, axis=-1)), *[gray] * 5)
+
 
 PREFIX = "robot/"
 
@@ -32,7 +92,7 @@ _STAYS = 1e-9  # [rad]
 
 _ROLLING_FRICTION = 0.6  # of rollers on the ground, along their axes
 _GRIP = 0.1  # [s] in which rollers bring the base to the velocity of the wheels
-_MOST_BEHIND = 0.05  # [m, rad] that the base may be behind its wheels before they slip
+_MOST_BEHIND = 0.05  # [m, rad] that a base on rollers still makes up when it is told to stand
 
 
 class RobotBody:
@@ -105,7 +165,8 @@ class RobotBody:
         self._inertia = inertia[along, along]  # against the wheels: twice [kg], and [kg m^2]
         weight = float(self._inertia[0] * np.linalg.norm(self.model.opt.gravity))
         self._grip = _ROLLING_FRICTION * weight  # [N], of all rollers
-        self._lever = float(np.hypot(*self.trial.wheels[0].place[:2]))  # [m]
+        lever = float(np.hypot(*self.trial.wheels[0].place[:2]))  # [m]
+        self._most = self._grip * np.array([1.0, 1.0, lever])  # [N, N, Nm]
 
     def _addresses(self, joints: tuple[str, ...]) -> tuple[np.ndarray, np.ndarray]:
         found = [self.model.joint(PREFIX + name) for name in joints]
@@ -181,26 +242,30 @@ class RobotBody:
 
     def command_rollers(self, speed: float, turn_rate: float) -> None:
         """Set how fast wheels with rollers move the base ahead [m/s] and turn it [rad/s]."""
-        self._wanted[[0, 2]] = speed, turn_rate
+        wanted = np.array([speed, 0.0, turn_rate])
+        if self._wanted.any() and not wanted.any():  # who stops lets go of what is in the way
+            self._behind = np.clip(self._behind, -_MOST_BEHIND, _MOST_BEHIND)
+        self._wanted = wanted
 
     def _roll(self) -> None:
         """Push the base as its rollers do together.
 
         The rollers of four mecanum wheels touch the ground in two directions, so that their forces
         add up to any push along the ground and about the vertical. Their contacts are not simulated
-        one by one: the wheels slide, and the base feels the sum, up to what friction allows.
+        one by one: the wheels slide, and the base feels the sum, up to what friction allows. With
+        less their drag would hold it in slow turns.
         """
         data, base = self.data, self._base_v
         axes = data.xmat[self._base].reshape(3, 3)
         now = np.append(axes[:, :2].T @ data.qvel[base : base + 3], data.qvel[base + 5])
         lag, period = self._wanted - now, self.config.control_period
-        self._behind = np.clip(self._behind + lag * period, -_MOST_BEHIND, _MOST_BEHIND)
+        most = 4.0 * _GRIP**2 * self._most / self._inertia  # farther behind the wheels slip
+        self._behind = np.clip(self._behind + lag * period, -most, most)
         wanted = (lag + self._behind / (4.0 * _GRIP)) / _GRIP  # critically damped
         push = self._inertia * wanted
         push[:2] *= min(1.0, self._grip / max(float(np.hypot(*push[:2])), 1e-9))
-        most = self._grip * self._lever
         data.qfrc_applied[base : base + 3] = axes[:, :2] @ push[:2]
-        data.qfrc_applied[base + 5] = float(np.clip(push[2], -most, most))
+        data.qfrc_applied[base + 5] = float(np.clip(push[2], -self._most[2], self._most[2]))
 
     @property
     def targets(self) -> FloatArray:

@@ -11,13 +11,10 @@ import numpy as np
 
 from infomap_ros.errors import RobotModelError
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.motion import RobotModel
-from infomap_ros.motion.collision.body import configurations
-from infomap_ros.motion.collision.collision_config import CollisionConfig
-from infomap_ros.motion.collision.link_pairs import movable_pairs
-from infomap_ros.motion.collision.pair_study import TrueShapes
-from infomap_ros.motion.robot.link_tree import LinkTree
-from infomap_ros.motion.robot.mimicry import read_followers
+from infomap_ros.motion.collision.body import CollisionConfig, configurations
+from infomap_ros.motion.collision.pair_study import TrueShapes, movable_pairs
+from infomap_ros.motion.robot.robot_model import LinkTree, RobotModel
+from infomap_ros.motion.robot.urdf import read_followers
 from infomap_ros.simulation.body.robot import load_robot
 from infomap_ros.simulation.body.robot_setup import RobotSetupConfig
 from infomap_ros.simulation.cameras.rendering import COLLISION_GROUP

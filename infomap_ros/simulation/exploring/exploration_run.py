@@ -19,9 +19,12 @@ from infomap_ros.exploration.control import Control
 from infomap_ros.exploration.fiducial_error import FiducialLocalizationError
 from infomap_ros.exploration.loop import Ending, EndReason, Exploration
 from infomap_ros.exploration.mission import Mission
-from infomap_ros.exploration.records.hindrances import commonest, hindrance_figures
-from infomap_ros.exploration.records.pose_predictions import prediction_figures
 from infomap_ros.exploration.records.recorded_run import read_run
+from infomap_ros.exploration.records.run_figures import (
+    commonest,
+    hindrance_figures,
+    prediction_figures,
+)
 from infomap_ros.exploration.records.run_log import RunLogFile
 from infomap_ros.exploration.reports.report import write_report
 from infomap_ros.exploration.robot import Choice, FailedView, KnownPlace, RobotState
@@ -35,18 +38,55 @@ from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.localization.prediction.error_prediction import ErrorPredictionConfig
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.mapping.files.export import write_ply
-from infomap_ros.motion import RobotModel
 from infomap_ros.motion.base.path_following import PathFollowingConfig
+from infomap_ros.motion.robot.robot_model import RobotModel
 from infomap_ros.replay.mapping.map_files import MAP_FILE, PLY_FILE, SUMMARY_FILE
 from infomap_ros.simulation.body.robot import read_description
-from infomap_ros.simulation.exploring.planning_map import PlanningMap
 from infomap_ros.simulation.exploring.pose_audit import PoseAudit
 from infomap_ros.simulation.exploring.simulated_robot import SimulatedRobot, SimulatedRobotConfig
 from infomap_ros.simulation.exploring.truth import RunTruth, TrueSurface
 from infomap_ros.simulation.simulator import Simulator, SimulatorConfig
 from infomap_ros.simulation.worlds.builder import World
-from infomap_ros.simulation.worlds.file_world import MESHES, PLANS, is_world_file
+from infomap_ros.simulation.worlds.file_world import WORLD_FILES, is_world_file
 from infomap_ros.simulation.worlds.scenes import WORLDS, make_world
+from infomap_ros.team.config import TeamConfig
+from infomap_ros.team.replica import MapReplica
+from infomap_ros.team.update import MapUpdate
+from infomap_ros.team.versions import next_version
+from infomap_ros.team.wire import decode_update, encode_update
+
+_ROBOT, _SESSION = 1, 1
+
+
+class PlanningMap:
+    """A replica of a robot's map. Updates are rounded, so it is not quite the map itself.
+
+    Args:
+        voxel_map: of the robot; its changes are tracked from now on.
+    """
+
+    def __init__(self, voxel_map: VoxelMap) -> None:
+        self._own, self._version = voxel_map, 1
+        voxel_map.track_changes(True)
+        size, limit = voxel_map.config.voxel_size, voxel_map.config.memory_limit
+        self._replica = MapReplica(VoxelMapConfig(voxel_size=size, memory_limit=limit))
+        self._message_size = TeamConfig().message_size
+
+    def current(self) -> VoxelMap:
+        """What is known now; to be read only.
+
+        Raises:
+            CapacityError: it does not fit into the memory limit of the map.
+        """
+        changes = self._own.take_changes()
+        if len(changes.indices):
+            self._version = next_version(self._version)
+            size = self._own.config.voxel_size
+            update = MapUpdate.of_changes(changes, size, _ROBOT, self._version, _SESSION)
+            for rows in encode_update(update, self._message_size):
+                self._replica.accept(decode_update(rows))
+        return self._replica.voxel_map
+
 
 LOG_FILE, REPORT_FILE = "exploration.jsonl", "report.html"
 
@@ -80,7 +120,7 @@ class WorldConfig:
     def __post_init__(self) -> None:
         check_config(self)
         if self.name not in WORLDS and not is_world_file(self.name):
-            expected = f"one of {', '.join(WORLDS)}, or a file {', '.join((*MESHES, *PLANS))}"
+            expected = f"one of {', '.join(WORLDS)}, or a file {', '.join(WORLD_FILES)}"
             raise ConfigError("name", self.name, expected)
 
     @property
@@ -134,7 +174,7 @@ class _MapPlanner:
     def route_problem(self, state: RobotState) -> str:
         fused = self._robot.link.fused_scans
         if self._checked[0] != fused:
-            self._checked = fused, self._planner.route_problem(self._map.current(), state)
+            self._checked = fused, self._planner.motion.route_problem(self._map.current(), state)
         return self._checked[1]
 
     def failed(self, view: FailedView) -> None:

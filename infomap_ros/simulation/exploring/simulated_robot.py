@@ -14,8 +14,8 @@ from typing import Protocol
 from infomap_ros.errors import PoseUnavailableError
 from infomap_ros.exploration.commanded_robot import CommandedRobot, CommandedRobotConfig
 from infomap_ros.exploration.robot import Interrupted, RobotState
-from infomap_ros.exploration.team.bodies_in_scan import BodyInScan
 from infomap_ros.exploration.team.team_bodies import TeamBodies
+from infomap_ros.exploration.team.teammate_places import BodyInScan
 from infomap_ros.geometry import (
     JointStateRecord,
     OdometryRecord,
@@ -42,7 +42,7 @@ from infomap_ros.messages import RosbagsMessageTypes, decode, encode, message_ty
 from infomap_ros.messages.commands import decode_arm_trajectory, decode_base_path
 from infomap_ros.messages.fiducials import decode_fiducials, encode_fiducials
 from infomap_ros.messages.motions import encode_arm_trajectory, encode_base_path
-from infomap_ros.motion import RobotModel
+from infomap_ros.motion.robot.robot_model import RobotModel
 from infomap_ros.motion.route import ArmPath
 from infomap_ros.pipeline.camera_localizer import CameraLocalizer, CameraLocalizerConfig
 from infomap_ros.pipeline.map_builder import MapBuilder
@@ -80,6 +80,7 @@ IMAGE_RATE = 2.0
 
 _MAP_FRAME = "map"
 _CORRECTED_PER_VIEW = 8  # scans; with 2 Hz those of 5 minutes follow a correction within 40 s
+_UPRIGHT = 0.85  # least cosine of the tilt of a robot that has not tipped over
 _START_PATIENCE = 15.0  # [s] until the first scan is fused
 _SENT = JointStateRecord | OdometryRecord | PoseRecord
 _SOURCES = ImageSources(
@@ -282,7 +283,8 @@ class SimulatedLink:
     @property
     def problem(self) -> str:
         """What localization says of the last view, where it does not know where it was taken."""
-        return self._state
+        is_upright = self._simulator.true_pose()[2, 2] > _UPRIGHT
+        return self._state + ("" if is_upright else "; the robot has tipped over")
 
     def known_state(self, in_odometry: bool = False) -> RobotState | None:
         """See `RobotLink`."""
@@ -425,7 +427,7 @@ class _TeammatesInScans:
         self._bodies = bodies
 
     def check_known_at(self, stamp: int, newest: int) -> None:
-        self._bodies.check_known_at(stamp, newest, self._bodies.robots)
+        self._bodies.check_known_at(stamp, newest, self._bodies.agents)
 
     def bodies_in(self, camera: PoseRecord) -> Sequence[BodyInScan]:
         return self._bodies.bodies_in(camera)

@@ -27,11 +27,12 @@ _SAME_RANGE = 1e-3  # [m]
 
 
 class CameraPart(NamedTuple):
-    """An optical frame that joints move against the base.
+    """An optical frame, and how it can be moved against the base.
 
     Attributes:
         frame: its link.
-        joints: joints that move it, from the base on; those that follow others are left out.
+        joints: that move it, from the base on, without those that follow others; empty where it
+            is fixed on the base.
         right: optical frame of the right camera of a stereo pair, or empty.
         baseline: of that pair [m], or 0.
     """

@@ -20,9 +20,9 @@ from scipy.spatial import ConvexHull, QhullError
 from infomap_ros.errors import SimulationError
 from infomap_ros.geometry import Box, Cylinder, PinholeCamera, PlacedSolid, transform_points
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.motion import RobotModel
-from infomap_ros.motion.arm.camera_heights import random_postures
 from infomap_ros.motion.robot.body_shapes import BodyShape
+from infomap_ros.motion.robot.robot_model import RobotModel
+from infomap_ros.motion.robot.solid_extent import random_postures
 from infomap_ros.simulation.body.robot import read_description
 from infomap_ros.simulation.body.robot_body import PREFIX
 from infomap_ros.simulation.body.robot_setup import RobotSetupConfig
@@ -81,7 +81,7 @@ def _title(reading: RobotReading) -> str:
     wheels, joints = len(setup.wheels), len(setup.arm_joints)
     return (
         f"{reading.robot.name}: {wheels} driven wheels, {len(setup.casters)} casters, "
-        f"camera on {joints} joints"
+        f"camera {f'on {joints} joints' if joints else 'fixed on the base'}"
     )
 
 

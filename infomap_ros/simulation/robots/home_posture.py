@@ -10,15 +10,14 @@ import numpy as np
 from infomap_ros.exploration.view_planner_config import ViewPlannerConfig
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
-from infomap_ros.motion import RobotModel
 from infomap_ros.motion.arm.arm_path import QUICK_SEARCH, plan_arm_path
-from infomap_ros.motion.arm.camera_heights import robot_bottom
-from infomap_ros.motion.arm.driving_posture import driving_posture, least_posture
+from infomap_ros.motion.arm.arm_postures import driving_posture, least_posture
+from infomap_ros.motion.base.standing_ground import ClearStart
 from infomap_ros.motion.collision.body import CollisionBody
-from infomap_ros.motion.collision.clear_start import ClearStart
-from infomap_ros.motion.collision.near_space import NearSpace
-from infomap_ros.motion.reaching_config import ReachingConfig
-from infomap_ros.motion.robot.solid_extent import body_extent
+from infomap_ros.motion.collision.checker import NearSpace
+from infomap_ros.motion.robot.robot_model import RobotModel
+from infomap_ros.motion.robot.solid_extent import body_extent, robot_bottom
+from infomap_ros.motion.whole_body import ReachingConfig
 
 _HEIGHT = 0.9  # of the camera above the ground: over tables, and walls are seen well [m]
 _DOWN = 0.15  # [rad] that it looks down

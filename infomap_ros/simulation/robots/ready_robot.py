@@ -8,7 +8,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 from infomap_ros.errors import ConfigError, RobotModelError
-from infomap_ros.motion import RobotModel
+from infomap_ros.motion.robot.robot_model import RobotModel
 from infomap_ros.simulation.body.extended_description import (
     CART_CASTERS,
     CART_WHEELS,
@@ -111,11 +111,11 @@ def _with_wheels(model: RobotModel, setup: RobotSetupConfig) -> RobotSetupConfig
 
 
 def _with_camera(model: RobotModel, setup: RobotSetupConfig) -> RobotSetupConfig:
-    cameras = {camera.frame: camera for camera in find_cameras(model) if camera.joints}
+    cameras = {camera.frame: camera for camera in find_cameras(model)}
     left = setup.left_camera_frame
     if not left:
         if not cameras:
-            expected = "an optical frame that joints move; robot.camera_mount adds one"
+            expected = "an optical frame; robot.camera_mount adds one"
             raise ConfigError("robot.left_camera_frame", "", expected)
         left, *others = cameras
         rivals = [f for f in others if len(cameras[f].joints) == len(cameras[left].joints)]

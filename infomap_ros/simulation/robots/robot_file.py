@@ -20,6 +20,7 @@ import yaml
 from infomap_ros.errors import ConfigError, ResourceError
 from infomap_ros.geometry.config import build_config
 from infomap_ros.geometry.resources import find_share
+from infomap_ros.motion.base.vehicle import VehicleConfig
 from infomap_ros.simulation.body.drive_train import DriveTrainConfig
 from infomap_ros.simulation.body.robot_setup import RobotSetupConfig
 from infomap_ros.simulation.robots.robot_parameters import OTHERS, PARAMETERS, SECTIONS, SETUP
@@ -37,6 +38,9 @@ _MEANINGS = {
     "robot.right_camera_frame": "beside it, along its x axis",
     "robot.assumed_joints": "joint_states may lack them",
     "reaching.vehicle.wheel_links": "it stands on these",
+    "reaching.vehicle.footprint": "x y of the corners on which it stands [m]",
+    "reaching.vehicle.ground_height": "in the base frame [m]",
+    "reaching.vehicle.max_step": "three quarters of the radius of its smallest wheel [m]",
     "reaching.collision.ground_links": "the ground is no obstacle to these",
 }
 
@@ -52,6 +56,10 @@ class RobotFile:
         wheel_links: patterns of the links that planning takes for wheels; empty for its default.
         ground_links: patterns of the links that planning lets touch the ground; likewise.
         assumed_joints: joints whose position real robots often do not report.
+        footprint: corners x0, y0, x1, y1, ... on which planning takes it to stand [m]; empty for
+            the wheels. With `ground_height` and `max_step`, see `VehicleConfig`.
+        ground_height: of level ground in the base frame, for a footprint [m].
+        max_step: highest step [m]; 0 for the one by the wheels.
         reasons: why a parameter has its value, by name; written as comments.
         folder: of the file, where a relative description is looked for first.
 
@@ -65,6 +73,9 @@ class RobotFile:
     wheel_links: tuple[str, ...] = ()
     ground_links: tuple[str, ...] = ()
     assumed_joints: tuple[str, ...] = ()
+    footprint: tuple[float, ...] = ()
+    ground_height: float = 0.0
+    max_step: float = 0.0
     reasons: Mapping[str, str] = field(default_factory=dict)
     folder: Path | None = None
 
@@ -72,6 +83,9 @@ class RobotFile:
         if not self.description:
             raise ConfigError("description", self.description, "the path of a URDF")
         DriveTrainConfig(turn_gain=self.turn_gain)
+        VehicleConfig(
+            footprint=self.footprint, ground_height=self.ground_height, max_step=self.max_step
+        )
 
     @property
     def parameters(self) -> dict[str, Any]:
@@ -85,6 +99,9 @@ class RobotFile:
         others = {
             "drive.turn_gain": self.turn_gain,
             "reaching.vehicle.wheel_links": ",".join(self.wheel_links),
+            "reaching.vehicle.footprint": self.footprint,
+            "reaching.vehicle.ground_height": self.ground_height,
+            "reaching.vehicle.max_step": self.max_step,
             "reaching.collision.ground_links": self.ground_links,
             "robot.assumed_joints": self.assumed_joints,
         }
@@ -164,6 +181,9 @@ class RobotFile:
                 tuple(filter(None, str(kept.get("reaching.vehicle.wheel_links", "")).split(","))),
                 tuple(kept.get("reaching.collision.ground_links", ())),
                 tuple(kept.get("robot.assumed_joints", ())),
+                _number(kept.get("reaching.vehicle.footprint", ())),
+                float(values.get("reaching.vehicle.ground_height", 0.0)),
+                float(values.get("reaching.vehicle.max_step", 0.0)),
                 folder=path.parent,
             )
         except (ConfigError, TypeError, ValueError) as error:

@@ -19,6 +19,9 @@ OTHERS = {
     "description": "world.description",
     "drive.turn_gain": "simulator.drive.turn_gain",
     "reaching.vehicle.wheel_links": "planner.reaching.vehicle.wheel_links",
+    "reaching.vehicle.footprint": "planner.reaching.vehicle.footprint",
+    "reaching.vehicle.ground_height": "planner.reaching.vehicle.ground_height",
+    "reaching.vehicle.max_step": "planner.reaching.vehicle.max_step",
     "reaching.collision.ground_links": "planner.reaching.collision.ground_links",
 }
 """Setting of ``infomap explore`` by the parameter, of those that are not of the setup."""

@@ -10,13 +10,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import pinocchio
 
 from infomap_ros.errors import RobotModelError
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.motion import RobotModel
-from infomap_ros.motion.base.vehicle_config import VehicleConfig
-from infomap_ros.motion.collision.collision_config import CollisionConfig
+from infomap_ros.motion.base.vehicle import VehicleConfig
+from infomap_ros.motion.collision.body import CollisionConfig
+from infomap_ros.motion.robot.robot_model import RobotModel
 from infomap_ros.simulation.body.extended_description import (
     CART,
     CART_CASTERS,
@@ -39,17 +39,19 @@ from infomap_ros.simulation.robots.camera_parts import (
 from infomap_ros.simulation.robots.home_posture import home_posture
 from infomap_ros.simulation.robots.ready_robot import initial_positions, mended_parts
 from infomap_ros.simulation.robots.robot_file import RobotFile, find_description
-from infomap_ros.simulation.robots.trial_drive import try_drive
+from infomap_ros.simulation.robots.trial_drive import TrialDrive, try_drive
 from infomap_ros.simulation.robots.tucked_arms import tucked_arms
 from infomap_ros.simulation.robots.wheel_parts import WheelParts, find_wheels, link_extents
 
 _FEWEST_JOINTS = 4  # that move a camera by which a robot looks into corners
+_FEWEST_WHEELS = 3  # on which planning can have it stand
 _BASELINE = 0.06  # of cameras that are assumed, as of common stereo cameras [m]
 _SPARE = 0.02  # from the last solid of the arm to a camera that is added [m]
 _CART = (0.55, 0.45, 0.3)  # length, width, height [m] under an arm
 _LOW = 0.3  # what is below is the robot's base [m]
 _VISIBLE = re.compile(r"wheel|caster|footprint", re.IGNORECASE)  # of robots with a base
 _CAMERA = re.compile(r"cam", re.IGNORECASE)
+_FIXED = "fixed on the base"
 _GAIN_DIFFERS = 1.3  # by this factor a measured gain is written down
 
 
@@ -63,6 +65,7 @@ class RobotReading:
         understood: what the description says, a line each.
         guesses: what it does not say, what is taken, and why.
         warnings: what is wrong with it, and what was done.
+        stands: whether it stays upright in simulation.
     """
 
     file: RobotFile
@@ -70,6 +73,7 @@ class RobotReading:
     understood: tuple[str, ...]
     guesses: tuple[str, ...]
     warnings: tuple[str, ...]
+    stands: bool = True
 
 
 def read_robot(place: str, camera: str = "") -> RobotReading:
@@ -82,7 +86,7 @@ def read_robot(place: str, camera: str = "") -> RobotReading:
 
     Raises:
         ResourceError: there is no such file.
-        RobotModelError: it is malformed, has no joint that could move a camera, or lacks `camera`.
+        RobotModelError: it is malformed, has neither a camera nor an arm, or lacks `camera`.
     """
     path = find_description(place)
     if "://" not in place:
@@ -101,7 +105,8 @@ class _Reading:
         self._warnings: list[str] = []
         self._reasons: dict[str, str] = {}
         self._setup = RobotSetupConfig(base_frame=root_link(self._tree))
-        self._gain = 0.0
+        self._gain, self._stands = 0.0, True
+        self._resting: tuple[str, ...] = ()
 
     def result(self, place: str) -> RobotReading:
         bare = RobotModel.from_urdf(self._text, base_frame=self._setup.base_frame)
@@ -124,10 +129,11 @@ class _Reading:
             _patterns(wheels, VehicleConfig().wheel_links.split(","), robot),
             _patterns((*wheels, *self._setup.hovering), CollisionConfig().ground_links, robot),
             () if self._setup.cart else self._setup.wheels,
+            *self._footprint(robot, wheels),
             self._reasons,
         )
         found = (tuple(self._said), tuple(self._guesses), tuple(self._warnings))
-        return RobotReading(file, robot, *found)
+        return RobotReading(file, robot, *found, self._stands)
 
     def _model(self, text: str) -> RobotModel:
         setup = self._setup
@@ -188,31 +194,32 @@ class _Reading:
             casters=wheels.casters,
             hovering=wheels.hovering,
         )
-        for name in ("left_wheels", "right_wheels", "casters", "hovering"):
+        for name in ("left_wheels", "right_wheels", "casters"):
             found = getattr(wheels, name.removesuffix("_wheels"))
             if found:
                 self._said.append(f"robot.{name}: {', '.join(found)}")
-        if wheels.hovering:
-            text = "large and drawn down to the ground; taken to be clear of it"
-            self._guess("robot.hovering", f"{', '.join(wheels.hovering)} is {text}", text)
 
     def _find_camera(self) -> None:
         robot = RobotModel.from_urdf(
             self._text, base_frame=root_link(self._tree), mimics=self._setup.leaders
         )
-        cameras = [camera for camera in find_cameras(robot) if camera.joints]
+        cameras = find_cameras(robot)
         arms = [end for end in find_arm_ends(robot) if not self._is_wheel(end)]
         if self._wanted:
             self._take_wanted(robot, cameras, arms)
             return
         best = cameras[0] if cameras else None
         arm = arms[0] if arms else None
-        few = best is None or len(best.joints) < _FEWEST_JOINTS
-        if arm is not None and few and (best is None or len(arm.joints) > len(best.joints)):
+        if arm is not None and (
+            best is None or len(best.joints) < _FEWEST_JOINTS <= len(arm.joints)
+        ):
             self._mount(robot, arm, best)
             return
         if best is None:
-            raise RobotModelError(f"robot '{robot.name}' has no joint that could move a camera")
+            raise RobotModelError(
+                f"robot '{robot.name}' has no link with 'optical' in its name, and no arm; "
+                "--camera LINK puts a camera on a link"
+            )
         self._take(best)
         rivals = [c.frame for c in cameras[1:] if len(c.joints) == len(best.joints)]
         if rivals:
@@ -220,13 +227,12 @@ class _Reading:
             self._guess("robot.left_camera_frame", text, "others are alike")
 
     def _is_wheel(self, end: ArmEnd) -> bool:
-        return set(end.joints) <= set(self._setup.wheels)
+        return set(end.joints) <= set(self._setup.wheels) or end.link in self._setup.casters
 
     def _take(self, camera: CameraPart) -> None:
         self._setup = replace(self._setup, left_camera_frame=camera.frame)
-        self._said.append(
-            f"robot.left_camera_frame: {camera.frame}, moved by {len(camera.joints)} joints"
-        )
+        moved = f"moved by {len(camera.joints)} joints" if camera.joints else _FIXED
+        self._said.append(f"robot.left_camera_frame: {camera.frame}, {moved}")
         if camera.right and camera.baseline >= LEAST_BASELINE:
             self._setup = replace(self._setup, right_camera_frame=camera.right)
             self._said.append(
@@ -254,10 +260,9 @@ class _Reading:
             near = ", ".join(camera.frame for camera in cameras[:4]) or "none"
             raise RobotModelError(f"--camera {wanted} is no link; optical frames: {near}")
         joints = joints_between(robot, wanted)
-        if not joints:
-            raise RobotModelError(f"--camera {wanted}: no joint moves it against the base")
         arm = next((end for end in arms if end.link == wanted), None)
-        forward = np.array([1.0, 0.0, 0.0]) if _CAMERA.search(wanted) else np.eye(3)[2]
+        looks_along_x = _CAMERA.search(wanted) or not joints
+        forward = np.eye(3)[0 if looks_along_x else 2]
         self._mount(robot, arm or ArmEnd(wanted, joints, forward, 0.0), None)
 
     def _mount(self, robot: RobotModel, arm: ArmEnd, other: CameraPart | None) -> None:
@@ -265,15 +270,17 @@ class _Reading:
         rest = {joint.name: joint.rest for joint in robot.joints}
         rotation = _optical_on(arm.outward, robot.forward_kinematics(rest, arm.link))
         place = (arm.length + _SPARE) * arm.outward
-        turn = Rotation.from_matrix(rotation).as_euler("xyz")
+        turn = pinocchio.rpy.matrixToRpy(rotation)
         numbers = " ".join(f"{value + 0.0:.4g}" for value in (*place, *np.round(turn, 4)))
         self._setup = replace(
             self._setup,
             camera_mount=f"{arm.link}: {numbers}",
             left_camera_frame=DEFAULT_CAMERA,
         )
-        lacks = "no optical frame" if other is None else f"only {other.frame}, on "
-        lacks += f"{len(other.joints)} joints" if other is not None else ""
+        lacks = "no optical frame"
+        if other is not None:
+            on = f"on {len(other.joints)} joints" if other.joints else _FIXED
+            lacks = f"only {other.frame}, {on}"
         axis = "xyz"[int(np.argmax(np.abs(arm.outward)))]
         text = (
             f"{lacks}; a camera is put on {arm.link}, behind {len(arm.joints)} joints, "
@@ -295,6 +302,9 @@ class _Reading:
 
     def _find_arm(self, robot: RobotModel) -> None:
         names = robot.arm.joint_names
+        if not names:
+            self._said.append("arm_joints: none; the base alone brings the camera to views")
+            return
         self._said.append(f"arm_joints: {', '.join(names)}, all between base and camera")
         self._setup = replace(self._setup, arm_joints=names)
         start = initial_positions(self._tree)
@@ -338,7 +348,8 @@ class _Reading:
 
     def _try_drive(self) -> None:
         """Take the gain and the friction by which it turns, and warn of what goes wrong."""
-        trial = try_drive(self._text, self._setup)
+        trial = self._try_low_links(try_drive(self._text, self._setup))
+        self._stands = trial.stands
         if not trial.problem and not trial.turns:
             rolling = replace(self._setup, rollers=True)
             again = try_drive(self._text, rolling)
@@ -357,6 +368,41 @@ class _Reading:
             self._warnings.append(f"it does not drive on {wheels}: {problem}")
         if trial.contacts:
             self._warnings.append(f"in simulation {trial.contacts}")
+
+    def _try_low_links(self, trial: TrialDrive) -> TrialDrive:
+        """Have it rest on links that are drawn down to the ground, where it tips over else."""
+        low = self._setup.hovering
+        if not low:
+            return trial
+        names = ", ".join(low)
+        if not trial.stands:
+            resting = replace(self._setup, casters=(*self._setup.casters, *low), hovering=())
+            again = try_drive(self._text, resting)
+            if again.stands:
+                self._setup, self._resting = resting, low
+                text = "it tips over without: casters are drawn into it"
+                self._guess("robot.casters", f"{names} slides on the ground; {text}", text)
+                return again
+        text = "large and drawn down to the ground; taken to be clear of it"
+        self._guess("robot.hovering", f"{names} is {text}", text)
+        return trial
+
+    def _footprint(
+        self, robot: RobotModel, wheels: Sequence[str]
+    ) -> tuple[tuple[float, ...], float, float]:
+        """What it stands on where fewer than three wheels are to be seen; see `RobotFile`."""
+        extents = {name: e for name, e in link_extents(robot).items() if name in wheels}
+        rolling = [e for name, e in extents.items() if name not in self._resting]
+        if len(rolling) >= _FEWEST_WHEELS or not rolling:
+            return (), 0.0, 0.0
+        x0, y0, z0 = np.min([low for low, _ in extents.values()], axis=0).round(3)
+        x1, y1, _ = np.max([high for _, high in extents.values()], axis=0).round(3)
+        corners = tuple(float(value) for value in (x0, y0, x1, y0, x1, y1, x0, y1))
+        radius = 0.5 * min(float(high[2] - low[2]) for low, high in rolling)
+        step = round(float(VehicleConfig().limits_for(radius)[2]), 3)
+        text = f"it has {len(rolling)} wheels and casters; the area of all that touches the ground"
+        self._guess("reaching.vehicle.footprint", text, text)
+        return corners, float(z0), step
 
     def _ground_links(self) -> tuple[str, ...]:
         """Links with solids on which it rolls."""

@@ -25,6 +25,7 @@ class TrialDrive(NamedTuple):
     """What a robot did that was told to turn about and to drive ahead.
 
     Attributes:
+        stands: whether it stays upright where it stands.
         turns: whether it turned by half of what it was told at least.
         gain: of its wheels in turns, by geometry; see `DriveTrainConfig.turn_gain`.
         fitting_gain: the gain by which it would have turned as told; 0 if it hardly turned.
@@ -32,6 +33,7 @@ class TrialDrive(NamedTuple):
         contacts: what of it touched what it should not; empty for nothing.
     """
 
+    stands: bool
     turns: bool
     gain: float
     fitting_gain: float
@@ -52,9 +54,8 @@ def try_drive(description: str, setup: RobotSetupConfig) -> TrialDrive:
     camera = StereoCameraConfig(width=32, height=24, supersampling=1)
     robot = Simulator(level_ground(), description, SimulatorConfig(robot=setup, camera=camera))
     if robot.true_pose()[2, 2] < np.cos(_TILTED):
-        return TrialDrive(
-            False, robot.turn_gain, 0.0, "it tips over where it stands", _contacts(robot)
-        )
+        problem = "it tips over where it stands"
+        return TrialDrive(False, False, robot.turn_gain, 0.0, problem, _contacts(robot))
     turned, before = 0.0, planar(robot.true_pose())[2]
     for _ in range(round(_TURNING / _STEP)):
         robot.command_velocity(0.0, _RATE)
@@ -71,7 +72,7 @@ def try_drive(description: str, setup: RobotSetupConfig) -> TrialDrive:
     problem = robot.problem
     if not problem and driven < _LEAST_SHARE * _SPEED * _DRIVING:
         problem = f"told to drive {_SPEED * _DRIVING:.1f} m ahead, it drives {driven:.2f} m"
-    return TrialDrive(turns, robot.turn_gain, gain, problem, _contacts(robot))
+    return TrialDrive(True, turns, robot.turn_gain, gain, problem, _contacts(robot))
 
 
 def level_ground() -> World:

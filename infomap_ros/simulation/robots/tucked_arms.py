@@ -7,9 +7,9 @@ from collections.abc import Collection
 import numpy as np
 
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.motion import RobotModel
-from infomap_ros.motion.arm.driving_posture import driving_posture
+from infomap_ros.motion.arm.arm_postures import driving_posture
 from infomap_ros.motion.collision.body import CollisionBody
+from infomap_ros.motion.robot.robot_model import RobotModel
 from infomap_ros.simulation.robots.camera_parts import find_arm_ends
 from infomap_ros.simulation.robots.wheel_parts import link_extents
 

@@ -1,4 +1,4 @@
-"""Worlds out of files: a mesh in any format that Assimp knows, or a floor plan of map_server."""
+"""Worlds out of files: a mesh that Assimp reads, a floor plan of map_server, an OctoMap tree."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.mesh_files import read_triangles
 from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.mapping.files.octomap_file import read_octree
 from infomap_ros.simulation.worlds import textures
 from infomap_ros.simulation.worlds.builder import BOX_CORNERS, BOX_FACES, SceneBuilder, World
 from infomap_ros.simulation.worlds.placing import Places
@@ -22,7 +23,9 @@ from infomap_ros.simulation.worlds.target_board import stand_board_ahead
 from infomap_ros.simulation.worlds.terrain import Terrain
 
 PLANS = (".yaml", ".yml")
+OCTREES = (".bt", ".ot")
 MESHES = (".stl", ".obj", ".dae", ".ply", ".glb", ".gltf")
+WORLD_FILES = (*MESHES, *PLANS, *OCTREES)
 
 _MILLIMETERS = 1000.0  # extent from which on a mesh is taken to be in millimeters
 _LEVEL = 0.95  # cosine of the slope up to which a triangle counts as floor
@@ -32,6 +35,7 @@ _BETWEEN = 0.1  # [m] between samples of a surface
 _HEADROOM = 0.6  # [m] above what may be the floor
 _ON_THE_FLOOR = 0.02  # [m] within which the mesh's floor is the ground
 _MOST_TRIANGLES = 20_000  # each is a body of its own to what touches it
+_MOST_BOXES = 10_000  # likewise
 _TALLEST = 2.5  # [m] of what is to be explored: one storey
 _AHEAD = 1.5  # [m] from the start to the target
 _ROOM, _HEIGHTS = 0.7, (0.1, 0.5, 1.0)  # [m] about the start that should be free, and where
@@ -47,7 +51,7 @@ class FileWorldConfig:
         ConfigError: a value is out of its range.
     """
 
-    file: str = parameter("", "Mesh, or .yaml of a floor plan.")
+    file: str = parameter("", "Mesh, .yaml of a floor plan, or .bt or .ot of OctoMap.")
     seed: int = parameter(1, "Seed of its textures.", low=0)
     size: float = parameter(
         0.0, "Edge of the part about the start that is to be explored; 0 for all.", unit="m",
@@ -95,7 +99,7 @@ class _Content:
 
 def is_world_file(name: str) -> bool:
     """Whether a world's name is that of a file of a kind that can be read."""
-    return Path(name).suffix.lower() in (*PLANS, *MESHES)
+    return Path(name).suffix.lower() in WORLD_FILES
 
 
 def file_world(config: FileWorldConfig, description: str = "") -> World:
@@ -114,8 +118,11 @@ def file_world(config: FileWorldConfig, description: str = "") -> World:
     path = Path(config.file)
     if not path.is_file():
         raise InvalidInputError("world", f"{path} does not exist")
-    is_plan = path.suffix.lower() in PLANS
-    found = _plan(path, config.walls) if is_plan else _mesh(path, config)
+    kind = path.suffix.lower()
+    if kind in OCTREES:
+        found = _octree(path)
+    else:
+        found = _plan(path, config.walls) if kind in PLANS else _mesh(path, config)
     x, y = _start(found.triangles, config, path)
     note = f"{path.name}: {found.said}, the robot starts at ({x:.2f}, {y:.2f}) of the file"
     return _build(found.moved(-x, -y), config, description, note)
@@ -190,10 +197,56 @@ def _plan(path: Path, walls: float) -> _Content:
     boxes = np.zeros((len(found), 2, 3))
     boxes[:, :, :2] = found.reshape(-1, 2, 2) * edge + (x, y)
     boxes[:, 1, 2] = walls
-    corners = boxes.mean(axis=1)[:, None] + np.diff(boxes, axis=1) * BOX_CORNERS
     width, depth = gray.shape[1] * edge, gray.shape[0] * edge
     said = f"{width:.1f} x {depth:.1f} m, walls of {walls:g} m"
-    return _Content(corners[:, BOX_FACES].reshape(-1, 3, 3), boxes, said)
+    return _Content(_faces(boxes), boxes, said)
+
+
+def _faces(boxes: FloatArray) -> FloatArray:
+    """Triangles of boxes, shape (12 N, 3, 3) [m]."""
+    corners = boxes.mean(axis=1)[:, None] + np.diff(boxes, axis=1) * BOX_CORNERS
+    return np.asarray(corners[:, BOX_FACES].reshape(-1, 3, 3))
+
+
+def _octree(path: Path) -> _Content:
+    """What stands above the floor of an octree, in voxels so large that it can be simulated."""
+    leaves = read_octree(path)
+    voxels, edge = leaves.occupied_voxels().astype(np.int64), leaves.resolution
+    if not len(voxels):
+        raise InvalidInputError("world", f"{path} holds nothing that is occupied")
+    layers = np.bincount(voxels[:, 2] - voxels[:, 2].min())
+    # as of a mesh: the lowest large level
+    above = voxels[:, 2].min() + int(np.flatnonzero(layers >= _FLOOR_SHARE * layers.max())[0]) + 1
+    voxels = voxels[voxels[:, 2] >= above] - (0, 0, above)
+    x, y, z = (np.ptp(voxels, axis=0) + 1) * edge if len(voxels) else np.zeros(3)
+    found = _cuboids(voxels)
+    while len(found) > _MOST_BOXES:
+        voxels, edge = np.unique(voxels // 2, axis=0), 2.0 * edge
+        found = _cuboids(voxels)
+    boxes = np.asarray(edge * found.reshape(-1, 2, 3), np.float64)
+    said = f"{x:.1f} x {y:.1f} x {z:.1f} m above its floor, {len(boxes)} boxes of {edge:g} m voxels"
+    return _Content(_faces(boxes), boxes, said)
+
+
+def _cuboids(voxels: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Boxes that cover voxels (N, 3): first x, y, z and last + 1, shape (M, 6).
+
+    Rectangles of a layer go on in the next one where it has the same rectangle.
+    """
+    found: list[tuple[int, ...]] = []
+    open_ones: dict[tuple[int, ...], int] = {}
+    low = voxels.min(axis=0, initial=0)
+    shape = (voxels.max(axis=0, initial=-1) + 1 - low)[:2]
+    for layer in range(int(low[2]), int(voxels[:, 2].max(initial=-1)) + 2):
+        here = voxels[voxels[:, 2] == layer] - low
+        grid = np.zeros(shape[::-1], np.bool_)
+        grid[here[:, 1], here[:, 0]] = True
+        there = set(map(tuple, _rectangles(grid).tolist()))
+        for one in open_ones.keys() - there:
+            found.append((*one[:2], open_ones[one], *one[2:], layer))
+        open_ones = {one: open_ones.get(one, layer) for one in there}
+    offset = (low[0], low[1], 0, low[0], low[1], 0)
+    return np.array(sorted(found), np.int64).reshape(-1, 6) + offset
 
 
 def _rectangles(occupied: NDArray[np.bool_]) -> NDArray[np.int64]:

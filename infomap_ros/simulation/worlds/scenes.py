@@ -20,8 +20,7 @@ from infomap_ros.simulation.worlds import textures
 from infomap_ros.simulation.worlds.builder import SceneBuilder, World
 from infomap_ros.simulation.worlds.cave import CaveConfig, cave
 from infomap_ros.simulation.worlds.file_world import (
-    MESHES,
-    PLANS,
+    WORLD_FILES,
     FileWorldConfig,
     file_world,
     is_world_file,
@@ -123,7 +122,7 @@ def scene_of(name: str, seed: int, **parameters: Any) -> tuple[str, Any]:
         name, parameters = "file", {"file": str(Path(name).absolute()), **parameters}
     if name not in SCENES:
         known = ", ".join(key for key in SCENES if key != "file")
-        files = ", ".join((*MESHES, *PLANS))
+        files = ", ".join(WORLD_FILES)
         raise InvalidInputError("world", f"'{name}' is unknown; known: {known}; files: {files}")
     try:
         return name, SCENES[name].config(seed=seed, **parameters)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import FREE
-from infomap_ros.views.sampling import flight_kernels
+from infomap_ros.studies.common.flight import is_open_line
 from infomap_ros.views.sampling.surroundings import Surroundings
 from infomap_ros.views.situation import Situation
 
@@ -62,7 +62,7 @@ def grow_tree(
 
     def add(parent: int, place: FloatArray) -> bool:
         start = places[parent] / size - first
-        if not flight_kernels.is_open_line(is_free, start, place / size - first):
+        if not is_open_line(is_free, start, place / size - first):
             return False
         places.append(place)
         parents.append(parent)

@@ -66,7 +66,7 @@ def draw_unknown(shares: FloatArray, values: Mapping[str, FloatArray], path: Pat
 
     Args:
         shares: of the view that are unknown, shape (N,).
-        values: by metric, shape (N,) each; see `unknown.values_by_share`.
+        values: by metric, shape (N,) each; as `values_by_share` gives them.
         path: without suffix; PNG and SVG are written.
     """
     styles = style_of(_SHOWN)

@@ -10,6 +10,7 @@ import numpy as np
 
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap
+from infomap_ros.studies.metrics.published_metrics import EVERY_METRIC
 from infomap_ros.studies.planar.explore import ExplorationConfig, explore
 from infomap_ros.studies.planar.sensor import SensorConfig, level_pose, take_scan
 from infomap_ros.studies.planar.settings import planar_choice
@@ -50,7 +51,7 @@ class MetricTask:
 
     Attributes:
         world: to be explored.
-        metric: one of `views.METRICS`.
+        metric: name of one of `EVERY_METRIC`.
         config: sensor, number of scans, seed.
         candidates: number of candidate views.
     """
@@ -73,7 +74,8 @@ class MetricTask:
         """Explore, then measure what the same scans have told."""
         world, sensor = self.world.make(), self.config.sensor
         choice = planar_choice(sensor.max_range, world.cell, self.candidates, STRATEGY)
-        found = explore(world, STRATEGY, self.config, choice, metric=self.metric)
+        metric = EVERY_METRIC.get(self.metric, self.metric)
+        found = explore(world, STRATEGY, self.config, choice, metric=metric)
         bits, wrong = what_scans_tell(world, sensor, found.views)
         return MetricRun(
             found.fraction, found.distance, found.seconds, bits, wrong, found.views, found.ended

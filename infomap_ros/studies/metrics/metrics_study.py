@@ -16,11 +16,11 @@ from infomap_ros.studies.common.bands import Band, band
 from infomap_ros.studies.common.runs import in_all_worlds
 from infomap_ros.studies.common.tables import markdown
 from infomap_ros.studies.metrics.metric_run import MetricRun, MetricTask
+from infomap_ros.studies.metrics.published_metrics import EVERY_METRIC
 from infomap_ros.studies.planar.explore import ExplorationConfig
 from infomap_ros.studies.planar.measures import area_under_coverage
 from infomap_ros.studies.planar.study_config import OneSensorConfig
 from infomap_ros.studies.planar.tasks import WorldName
-from infomap_ros.views.information.expected_information import METRICS
 
 OWN = "expected_entropy_reduction"
 
@@ -36,7 +36,7 @@ class MetricsStudyConfig(OneSensorConfig):
     """
 
     worlds: int = parameter(5, "Drawn worlds of each kind.", low=1, high=1000)
-    metrics: tuple[str, ...] = parameter(tuple(METRICS), "Names of metrics.")
+    metrics: tuple[str, ...] = parameter(tuple(EVERY_METRIC), "Names of metrics.")
 
 
 def tasks_of(config: MetricsStudyConfig) -> list[MetricTask]:

@@ -11,21 +11,17 @@ import numpy as np
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap
+from infomap_ros.studies.common.flight import FreeFlight
 from infomap_ros.studies.planar.sensor import SensorConfig, level_pose, take_scan
 from infomap_ros.studies.planar.settings import planar_choice
 from infomap_ros.studies.planar.world import PlanarWorld
-from infomap_ros.views import (
-    ExpectedInformation,
-    NextBestView,
-    RegionOfTask,
-    Situation,
-    Teammate,
-)
+from infomap_ros.views.information.expected_information import Metric
 from infomap_ros.views.information.information_config import InformationConfig
-from infomap_ros.views.next_best_view import NextBestViewConfig
+from infomap_ros.views.information.view_information import ExpectedInformation
+from infomap_ros.views.next_best_view import NextBestView, NextBestViewConfig
 from infomap_ros.views.ranking.strategy import Strategy
-from infomap_ros.views.sampling.flight import FreeFlight
-from infomap_ros.views.unproductive_looks import UnproductiveLooks, UnproductiveLooksConfig
+from infomap_ros.views.situation import RegionOfTask, Situation, Teammate
+from infomap_ros.views.unproductive_looks import UnproductiveLooks
 
 INFORMATION = InformationConfig(ray_spacing=0.03, min_range=0.0, range_noise=0.0, pixel_angle=1e-4)
 """How it is judged what views tell: at most half a voxel of 1 m between rays at 15 m, no noise."""
@@ -104,9 +100,8 @@ class PlanarExplorer:
         strategy: name of a strategy, dotted path of a class, or a strategy.
         choice: configuration of the choice; that of the studies by default.
         start: where it begins, shape (2,) [m]; the world's start by default.
-        metric: what counts as information, one of `views.METRICS`.
-        unproductive: when voxels are given up that views promised to inform and did not; without it
-            none are.
+        metric: what counts as information, the name of one of `views.METRICS` or a function.
+        look_limit: looks in vain after which a voxel is given up; without it none are.
     """
 
     def __init__(
@@ -116,8 +111,8 @@ class PlanarExplorer:
         strategy: str | Strategy,
         choice: NextBestViewConfig | None = None,
         start: FloatArray | None = None,
-        metric: str = "expected_entropy_reduction",
-        unproductive: UnproductiveLooksConfig | None = None,
+        metric: str | Metric = "expected_entropy_reduction",
+        look_limit: float | None = None,
     ) -> None:
         self.world, self.config = world, config
         self.map = VoxelMap(config.sensor.map_config(world.cell))
@@ -127,7 +122,7 @@ class PlanarExplorer:
             strategy=strategy if isinstance(strategy, str) else "",
         )
         self._information = ExpectedInformation(metric, INFORMATION, threads=1)
-        self._unproductive = None if unproductive is None else UnproductiveLooks(unproductive)
+        self._unproductive = None if look_limit is None else UnproductiveLooks(look_limit)
         self._thresholds = settings.surroundings.thresholds
         self._choice = NextBestView(settings, strategy, self._information)
         self._rng = np.random.default_rng(config.seed)
@@ -200,8 +195,8 @@ def explore(
     config: ExplorationConfig | None = None,
     choice: NextBestViewConfig | None = None,
     progress: Callable[[int], None] | None = None,
-    metric: str = "expected_entropy_reduction",
-    unproductive: UnproductiveLooksConfig | None = None,
+    metric: str | Metric = "expected_entropy_reduction",
+    look_limit: float | None = None,
 ) -> Exploration:
     """Explore a world with one sensor.
 
@@ -211,13 +206,11 @@ def explore(
         config: sensor, number of scans, seed.
         choice: configuration of the choice; that of the studies by default.
         progress: called with the number of scans taken.
-        metric: what counts as information, one of `views.METRICS`.
-        unproductive: see `PlanarExplorer`.
+        metric: what counts as information, the name of one of `views.METRICS` or a function.
+        look_limit: see `PlanarExplorer`.
     """
     settings = config or ExplorationConfig()
-    sensor = PlanarExplorer(
-        world, settings, strategy, choice, metric=metric, unproductive=unproductive
-    )
+    sensor = PlanarExplorer(world, settings, strategy, choice, metric=metric, look_limit=look_limit)
     rows: list[tuple[float, float, float]] = []
     way, ended, seconds = [sensor.pose[None, :3, 3]], "", 0.0
     while not ended:

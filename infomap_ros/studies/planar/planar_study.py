@@ -21,7 +21,6 @@ from infomap_ros.studies.planar.sensor import SensorConfig
 from infomap_ros.studies.planar.study_config import DrawnWorldsConfig, OneSensorConfig
 from infomap_ros.studies.planar.tasks import Record, Task, WorldName
 from infomap_ros.studies.planar.world import BoolArray
-from infomap_ros.views.unproductive_looks import UnproductiveLooksConfig
 
 PAPER = ("random", "raster", "largest_unknown", "smallest_known", "largest_information")
 """The five strategies of the paper."""
@@ -34,8 +33,6 @@ BASELINES = (
     f"{_HERE}.autonomous.AutonomousExploration",
 )
 """What the package's strategies are compared with, by dotted path."""
-
-_ONE_LOOK = 0.3  # a voxel that a look from up to 0.84 of the range left unknown is given up
 
 OWN = ("largest_information", "look_ahead")
 """The package's own strategies, which all others are compared with."""
@@ -63,8 +60,11 @@ class PlanarStudyConfig(OneSensorConfig):
     share: float = parameter(
         0.9, "Share of a world to which distances are compared.", low=0.01, high=1.0
     )
-    unproductive: UnproductiveLooksConfig = field(
-        default_factory=lambda: UnproductiveLooksConfig(look_limit=_ONE_LOOK)
+    look_limit: float = parameter(
+        0.3,
+        "After so many looks in vain a voxel is given up: one from up to 0.84 of the range.",
+        low=0.01,
+        high=1e6,
     )
 
 
@@ -101,8 +101,8 @@ def _task(world: WorldName, strategy: str, config: PlanarStudyConfig) -> Task:
         seed=world.seed,
         sensor=config.sensor,
     )
-    unproductive = None if stops or strategy in BASELINES else config.unproductive
-    return Task(world, strategy, exploration, config.candidates, unproductive=unproductive)
+    look_limit = None if stops or strategy in BASELINES else config.look_limit
+    return Task(world, strategy, exploration, config.candidates, look_limit=look_limit)
 
 
 @dataclass(frozen=True)

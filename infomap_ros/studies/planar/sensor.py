@@ -12,7 +12,7 @@ from infomap_ros.geometry import PinholeCamera, make_transform
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
-from infomap_ros.views.information.rays import camera_rays
+from infomap_ros.views.information.view_query import camera_rays
 from infomap_ros.views.sampling.orientations import look_rotations
 
 _INSIDE = 0.02  # a hit is put so far into its voxel [voxels]

@@ -7,7 +7,7 @@ from infomap_ros.views.ranking.look_ahead import LookAheadConfig
 from infomap_ros.views.ranking.rating import RatingConfig
 from infomap_ros.views.sampling.candidates import CandidateConfig
 from infomap_ros.views.sampling.orientations import OrientationConfig
-from infomap_ros.views.sampling.survey import SurroundingsConfig
+from infomap_ros.views.sampling.surroundings import SurroundingsConfig
 from infomap_ros.views.selection import SelectionConfig
 
 _RATING_ALONE, _DISCOUNTED = 0.4, 0.1  # what a way of one range costs [full views]

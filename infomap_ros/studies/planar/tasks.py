@@ -20,7 +20,6 @@ from infomap_ros.studies.planar.generators import make_world
 from infomap_ros.studies.planar.settings import planar_choice
 from infomap_ros.studies.planar.team_explore import explore_together
 from infomap_ros.studies.planar.world import BoolArray, PlanarWorld
-from infomap_ros.views.unproductive_looks import UnproductiveLooksConfig
 
 
 def label_of(strategy: str) -> str:
@@ -64,7 +63,7 @@ class Task:
         config: sensor, number of scans, seed.
         candidates: number of candidate views.
         sensors: that explore together.
-        unproductive: when voxels are given up that views promised to inform and did not; or never.
+        look_limit: looks in vain after which a voxel is given up; None: never.
     """
 
     world: WorldName
@@ -72,7 +71,7 @@ class Task:
     config: ExplorationConfig
     candidates: int
     sensors: int = 1
-    unproductive: UnproductiveLooksConfig | None = None
+    look_limit: float | None = None
 
     @property
     def label(self) -> str:
@@ -95,7 +94,7 @@ class Task:
         choice = planar_choice(sensor.max_range, self.world.cell, self.candidates, self.strategy)
         if self.sensors > 1:
             return explore_together(world, self.strategy, self.config, choice, self.sensors)
-        return explore(world, self.strategy, self.config, choice, unproductive=self.unproductive)
+        return explore(world, self.strategy, self.config, choice, look_limit=self.look_limit)
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,10 +16,12 @@ from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.studies.planar.explore import Exploration, ExplorationConfig, PlanarExplorer
 from infomap_ros.studies.planar.world import PlanarWorld
-from infomap_ros.team import MapReplica, MapUpdate, decode_update, encode_update
-from infomap_ros.views import Teammate
+from infomap_ros.team.replica import MapReplica
+from infomap_ros.team.update import MapUpdate
+from infomap_ros.team.wire import decode_update, encode_update
 from infomap_ros.views.next_best_view import NextBestViewConfig
 from infomap_ros.views.ranking.strategy import Strategy
+from infomap_ros.views.situation import Teammate
 
 _APART = 2.0  # between the sensors at the start [m]
 

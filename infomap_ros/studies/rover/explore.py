@@ -113,9 +113,8 @@ class RoverTask:
         A raster scan puts views first that can hardly be reached.
         """
         usual = ViewPlannerConfig(strategy=self.strategy, seed=self.seed, threads=1)
-        selection = usual.choice.selection
-        approach = replace(selection.approach, attempts=_ATTEMPTS)
-        choice = replace(usual.choice, selection=replace(selection, approach=approach))
+        selection = replace(usual.choice.selection, attempts=_ATTEMPTS)
+        choice = replace(usual.choice, selection=selection)
         return replace(usual, choice=choice, rounds=_ROUNDS)
 
     def run(self) -> RoverExploration:

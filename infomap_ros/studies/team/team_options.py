@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.simulation.exploring.exploration_run import ExplorationOptions
-from infomap_ros.team import TeamConfig
+from infomap_ros.team.config import TeamConfig
 
 
 @dataclass(frozen=True)

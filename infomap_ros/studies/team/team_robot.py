@@ -18,22 +18,22 @@ from infomap_ros.exploration.planar import planar_pose
 from infomap_ros.exploration.records.run_log import RunLogFile
 from infomap_ros.exploration.robot import Choice, FailedView, KnownPlace, RobotState
 from infomap_ros.exploration.task import TaskConfig
-from infomap_ros.exploration.team.keep_clear import PAUSE, KeepsClear
+from infomap_ros.exploration.team.keep_clear import PAUSE, Awareness, KeepsClear
 from infomap_ros.exploration.team.team_bodies import TeamBodies
 from infomap_ros.exploration.team.team_planner import TeamPlanner
 from infomap_ros.exploration.team.teamwork import Presence, Teamwork
-from infomap_ros.exploration.team.watched_motion import Awareness
 from infomap_ros.exploration.view_planner import Surrounding, ViewPlanner
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap
-from infomap_ros.motion import RobotModel
+from infomap_ros.motion.robot.robot_model import RobotModel
 from infomap_ros.replay.mapping.map_files import MAP_FILE
 from infomap_ros.simulation.exploring.exploration_run import localization_error
 from infomap_ros.simulation.exploring.simulated_robot import Observer, SimulatedRobot
 from infomap_ros.simulation.simulator import Simulator
 from infomap_ros.studies.team.team_options import TeamExplorationOptions
-from infomap_ros.team import TeamMember, version_at
+from infomap_ros.team.member import TeamMember
 from infomap_ros.team.sent import message_bytes
+from infomap_ros.team.versions import version_at
 
 MISSION_FILE, LOG_FILE = "mission.json", "exploration.jsonl"
 LOCALIZATION_FILE = "localization.infomap"
@@ -192,7 +192,7 @@ class TeamRobot:
 
     def route_problem(self, state: RobotState) -> str:
         """Why what is left of the route planned last is blocked; empty where it is free."""
-        return self._planner.route_problem(self.member.replica.voxel_map, state)
+        return self._planner.planner.motion.route_problem(self.member.replica.voxel_map, state)
 
     def failed(self, view: FailedView) -> None:
         """Note that a view could not be reached."""

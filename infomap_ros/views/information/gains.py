@@ -16,11 +16,17 @@ from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.mapping.files.export import surface_sigmas
 from infomap_ros.mapping.voxels.keys import BLOCK_BITS, BLOCK_SIDE, local_index
-from infomap_ros.views.information.codes import SOLID, UNCERTAIN, CodeBook
-from infomap_ros.views.information.field import VisibleField, visible_field, with_rows
+from infomap_ros.views.information.field import (
+    SOLID,
+    UNCERTAIN,
+    CodeBook,
+    VisibleField,
+    visible_field,
+    with_predictions,
+    with_rows,
+)
 from infomap_ros.views.information.information_config import InformationConfig
 from infomap_ros.views.information.observation_value import surface_bits, voxel_bits
-from infomap_ros.views.information.predicted_field import with_predictions
 from infomap_ros.views.information.ray_kernels import RayArrays
 
 _LEAST_STEPS = 64

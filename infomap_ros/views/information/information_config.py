@@ -9,6 +9,9 @@ from infomap_ros.geometry import PlacedSolid, StereoRig
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.mapping import VoxelMapConfig
 
+DISPARITY_SIGMA = 0.2
+"""Standard deviation of a disparity that a pair is expected to measure [px]."""
+
 
 @dataclass(frozen=True)
 class InformationConfig:
@@ -105,23 +108,13 @@ class InformationConfig:
         "The map is one layer of voxels, along which the camera looks: a ray stands for a sector "
         "of the layer, not for a pyramid, and near space counts accordingly more.",
     )
-    gray_levels: int = parameter(
-        32, "Levels of probability that eqs. (7) to (9) as printed tell apart.", low=2, high=1000
-    )
-    proximity: int = parameter(
-        10,
-        "Steps from a surface within which unknown voxels count for `proximity_count`.",
-        unit="voxels",
-        low=1,
-        high=1000,
-    )
 
     def __post_init__(self) -> None:
         check_config(self)
 
     @classmethod
     def of_stereo(
-        cls, rig: StereoRig, disparity_sigma: float = 0.2, min_range: float = 0.5
+        cls, rig: StereoRig, disparity_sigma: float = DISPARITY_SIGMA, min_range: float = 0.5
     ) -> InformationConfig:
         """Configuration with the noise law of a rectified pair.
 

@@ -12,7 +12,7 @@ all visible voxels have the same level, so that a wholly unknown view scores 0, 
 
 f_i is counted as the volume in view, as in `views.ray_kernels`, so that it does not depend on the
 number of rays. Where the result does, it is by the levels: 1 bit of these metrics means something
-else with another ``gray_levels``.
+else with another number of `GRAY_LEVELS`.
 """
 
 from __future__ import annotations
@@ -25,12 +25,14 @@ from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.views.information.field import code_at, workers_of
+from infomap_ros.views.information.field import code_at, with_predictions, workers_of
 from infomap_ros.views.information.gains import gain_table, shell_volumes
 from infomap_ros.views.information.observation_value import entropy_of
-from infomap_ros.views.information.predicted_field import with_predictions
 from infomap_ros.views.information.ray_kernels import region_steps, turned
 from infomap_ros.views.information.view_query import FINEST, ViewQuery
+
+GRAY_LEVELS = 32
+"""Levels of probability that eqs. (7) to (9) tell apart."""
 
 
 class SeenVolumes(NamedTuple):
@@ -52,9 +54,9 @@ class SeenVolumes(NamedTuple):
 def scene_entropy(query: ViewQuery) -> FloatArray:
     """Eq. (7): entropy of the gray levels of known plus that of unknown voxels, shape (M,) [bits].
 
-    A gray level is one of ``gray_levels`` equal parts of the range of p.
+    A gray level is one of `GRAY_LEVELS` equal parts of the range of p.
     """
-    count = query.config.gray_levels
+    count = GRAY_LEVELS
 
     def rate(seen: SeenVolumes) -> float:
         levels = np.broadcast_to(seen.probabilities, seen.shares.shape)
@@ -71,7 +73,7 @@ def stretched_scene_entropy(query: ViewQuery) -> FloatArray:
     and nearer voxels are stretched more, and p'' is clipped to the half of [0, 1] that it is meant
     for: [0, 1/2] for p < 1/2, [1/2, 1] otherwise.
     """
-    count = query.config.gray_levels
+    count = GRAY_LEVELS
 
     def rate(seen: SeenVolumes) -> float:
         levels = stretched(seen.probabilities, seen.distances[:, None])
@@ -85,7 +87,7 @@ def weighted_scene_entropy(query: ViewQuery) -> FloatArray:
 
     The weight is that of the middle of the level.
     """
-    count = query.config.gray_levels
+    count = GRAY_LEVELS
     middles = (np.arange(count) + 0.5) / count
 
     def rate(seen: SeenVolumes) -> float:

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from infomap_ros.geometry.kernel import kernel
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping.voxels.keys import BLOCK_BITS, BLOCK_SIDE
-from infomap_ros.views.information.codes import EMPTY, UNKNOWN
+from infomap_ros.views.information.field import EMPTY, UNKNOWN
 
 _FRACTION = 32
 _BLOCK_SHIFT = _FRACTION + BLOCK_BITS

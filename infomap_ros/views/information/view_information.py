@@ -10,7 +10,7 @@ from infomap_ros.errors import ConfigError
 from infomap_ros.geometry import PinholeCamera
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
-from infomap_ros.views.information.expected_information import METRICS, expected_information
+from infomap_ros.views.information.expected_information import METRICS, Metric, expected_information
 from infomap_ros.views.information.field import VisibleField, workers_of
 from infomap_ros.views.information.gains import field_around
 from infomap_ros.views.information.information_config import InformationConfig
@@ -25,7 +25,7 @@ class ExpectedInformation:
 
     def __init__(
         self,
-        metric: str = "expected_entropy_reduction",
+        metric: str | Metric = "expected_entropy_reduction",
         config: InformationConfig | None = None,
         quick_ray_spacing: float = 0.05,
         threads: int = 2,
@@ -33,7 +33,7 @@ class ExpectedInformation:
         """Choose what counts as information.
 
         Args:
-            metric: one of `METRICS`.
+            metric: the name of one of `METRICS`, or a function.
             config: rays and sensor.
             quick_ray_spacing: angle between the rays of the first ranking of all candidates [rad].
             threads: that share the rays.
@@ -41,10 +41,11 @@ class ExpectedInformation:
         Raises:
             ConfigError: there is no such metric.
         """
-        if metric not in METRICS:
+        if isinstance(metric, str) and metric not in METRICS:
             raise ConfigError("metric", metric, "one of " + ", ".join(METRICS))
         self._metric, self._threads = metric, threads
-        self.unit = "bits" if metric == _BITS else f"of {metric}"
+        name = metric if isinstance(metric, str) else metric.__name__
+        self.unit = "bits" if name == _BITS else f"of {name}"
         self._config = config or InformationConfig()
         spacing = max(quick_ray_spacing, self._config.ray_spacing)
         self._quick_config = replace(self._config, ray_spacing=spacing)

@@ -2,19 +2,101 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from infomap_ros.geometry import PinholeCamera
+from infomap_ros.errors import InvalidInputError
+from infomap_ros.geometry import PinholeCamera, float_array
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap
-from infomap_ros.views.information.codes import CodeBook
-from infomap_ros.views.information.field import VisibleField, visible_field
+from infomap_ros.views.information.field import CodeBook, VisibleField, visible_field
 from infomap_ros.views.information.information_config import InformationConfig
-from infomap_ros.views.information.rays import camera_rays, checked_region
+
+
+def camera_rays(
+    camera: PinholeCamera, spacing: float, planar: bool = False
+) -> tuple[FloatArray, FloatArray]:
+    """Rays through the middles of equal cells of the image.
+
+    Args:
+        camera: only its opening matters, not its number of pixels.
+        spacing: largest angle between neighboring rays [rad].
+        planar: one row of rays in the plane of x and z of the camera.
+
+    Returns:
+        Unit directions in the camera frame, shape (N, 3), row by row; and the solid angle of each
+        cell, shape (N,) [sr], whose sum is that of the image. Of a plane the angle [rad] instead.
+    """
+    low_x, high_x = (-0.5 - camera.cx) / camera.fx, (camera.width - 0.5 - camera.cx) / camera.fx
+    if planar:
+        edges = np.arctan(np.linspace(low_x, high_x, math.ceil((high_x - low_x) / spacing) + 1))
+        azimuths = 0.5 * (edges[:-1] + edges[1:])
+        level = np.stack([np.sin(azimuths), np.zeros_like(azimuths), np.cos(azimuths)], axis=-1)
+        return level, np.diff(edges)
+    low_y, high_y = (-0.5 - camera.cy) / camera.fy, (camera.height - 0.5 - camera.cy) / camera.fy
+    columns = max(1, math.ceil((high_x - low_x) / spacing))
+    rows = max(1, math.ceil((high_y - low_y) / spacing))
+    x, y = np.linspace(low_x, high_x, columns + 1), np.linspace(low_y, high_y, rows + 1)
+    corner = np.arctan(x * y[:, None] / np.sqrt(1.0 + x**2 + y[:, None] ** 2))
+    angles = np.diff(np.diff(corner, axis=0), axis=1)
+    middle_x, middle_y = 0.5 * (x[:-1] + x[1:]), 0.5 * (y[:-1] + y[1:])
+    u, v = np.meshgrid(middle_x, middle_y)
+    directions = np.stack([u, v, np.ones_like(u)], axis=-1).reshape(-1, 3)
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    return directions, angles.ravel()
+
+
+def checked_poses(poses: ArrayLike) -> NDArray[np.float64]:
+    """Camera poses as an array of shape (M, 4, 4).
+
+    Raises:
+        InvalidInputError: they are not rigid transforms, shape (M, 4, 4) or (4, 4).
+    """
+    transforms = float_array(poses, "poses")
+    if transforms.shape == (4, 4):
+        transforms = transforms[None]
+    if transforms.ndim != 3 or transforms.shape[1:] != (4, 4):
+        raise InvalidInputError("poses", f"shape {transforms.shape}, expected (M, 4, 4)")
+    rotations = transforms[:, :3, :3]
+    if not np.isfinite(transforms).all():
+        raise InvalidInputError("poses", "hold NaN or infinity")
+    error = np.abs(rotations @ rotations.transpose(0, 2, 1) - np.eye(3)).max(initial=0.0)
+    if error > 1e-6 or (np.linalg.det(rotations) < 0.0).any():
+        raise InvalidInputError("poses", "hold a rotation that is none")
+    return np.ascontiguousarray(transforms)
+
+
+def checked_reach(positions: FloatArray, max_range: float, voxel_size: float) -> float:
+    """`max_range` [m], if it and the positions, shape (M, 3) [m], can be looked up in a map.
+
+    Raises:
+        InvalidInputError: they cannot.
+    """
+    reach = np.abs(positions).max(initial=0.0) + max_range
+    if not (max_range > 0.0 and reach / voxel_size < 1e6):
+        raise InvalidInputError(
+            "max_range", f"is {max_range} m, expected a positive range within the map's limits"
+        )
+    return float(max_range)
+
+
+def checked_region(region: ArrayLike | None) -> FloatArray:
+    """Corners (low, high) of a region, shape (2, 3) [m]; all of space without one.
+
+    Raises:
+        InvalidInputError: it is not a box (low, high), shape (2, 3).
+    """
+    if region is None:
+        return np.array([[-np.inf] * 3, [np.inf] * 3])
+    box = float_array(region, "region")
+    if box.shape != (2, 3) or np.isnan(box).any() or (box[1] < box[0]).any():
+        raise InvalidInputError("region", f"is {box.tolist()}, expected (low, high) corners")
+    return box
+
 
 FINEST = CodeBook(1e-6)
 """Codes that tell almost all voxels apart by their probability."""

@@ -14,12 +14,11 @@ from infomap_ros.geometry.kernel import kernel
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.mapping.voxels.keys import BLOCK_SIDE, pack, table_slot
-from infomap_ros.views.information.codes import EMPTY
-from infomap_ros.views.information.field import VisibleField, code_at
+from infomap_ros.views.information.field import EMPTY, VisibleField, code_at
 from infomap_ros.views.information.gains import field_around, ray_arrays
 from infomap_ros.views.information.information_config import InformationConfig
 from infomap_ros.views.information.ray_kernels import region_steps, turned
-from infomap_ros.views.information.rays import (
+from infomap_ros.views.information.view_query import (
     camera_rays,
     checked_poses,
     checked_reach,

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
+from numba import njit
+from numpy.typing import NDArray
 
 from infomap_ros.geometry.config import check_config, setting
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping.scans.traversal import unpack_all
-from infomap_ros.views.ranking import look_ahead_kernels
 from infomap_ros.views.ranking.options import Options
 from infomap_ros.views.ranking.rating import Ratings
 from infomap_ros.views.ranking.strategy import Scores
@@ -102,7 +103,7 @@ class LookAhead:
         """The utilities, lowered by their range for views that are like a better one."""
         values, config = utility.copy(), self.config
         spread = float(np.ptp(utility)) + 1.0 if len(utility) else 0.0
-        look_ahead_kernels.lower_alike(
+        lower_alike(
             np.argsort(-utility, kind="stable"),
             np.ascontiguousarray(options.positions),
             np.ascontiguousarray(options.poses[:, :3, 2]),
@@ -118,7 +119,7 @@ class LookAhead:
     ) -> Scores:
         """Worth of every view, and the followers of those that were looked into."""
         config, values = self.config, alone.copy()
-        costs = look_ahead_kernels.Costs(
+        costs = Costs(
             ratings.config.information_weight * ratings.shares[chosen],
             1.0 - ratings.terms["risk"][chosen],
             ratings.ratings[chosen],
@@ -130,7 +131,7 @@ class LookAhead:
         )
         found = np.empty(len(chosen))
         followers = np.empty((len(chosen), config.depth - 1), np.int64)
-        look_ahead_kernels.best_sequences(
+        best_sequences(
             _sharing_of(options, chosen), costs, config.depth, config.beam, found, followers
         )
         values[chosen] = found
@@ -151,7 +152,7 @@ def _distances_between(options: Options, ratings: Ratings, chosen: IntArray) -> 
     return np.array(rows).reshape(len(poses), len(poses))
 
 
-def _sharing_of(options: Options, chosen: IntArray) -> look_ahead_kernels.Sharing:
+def _sharing_of(options: Options, chosen: IntArray) -> Sharing:
     """What voxels each of the chosen views, (K,), informs, weighted by what is wanted."""
     gains = options.source.gains(options.situation, options.poses[chosen])
     keys, places = np.unique(
@@ -168,4 +169,214 @@ def _sharing_of(options: Options, chosen: IntArray) -> look_ahead_kernels.Sharin
         * information_weights[places]
     )
     starts = np.cumsum([0, *(len(gain.keys) for gain in gains)])
-    return look_ahead_kernels.Sharing(starts, places, values, len(keys))
+    return Sharing(starts, places, values, len(keys))
+
+
+class Sharing(NamedTuple):
+    """What voxels each of K views informs, and by how much.
+
+    Attributes:
+        starts: where the voxels of each view begin in the next two, shape (K + 1,), int64.
+        places: of the voxels in an array of `size`, int64.
+        gains: of the voxels.
+        size: number of voxels that any view informs.
+    """
+
+    starts: NDArray[np.int64]
+    places: NDArray[np.int64]
+    gains: FloatArray
+    size: int
+
+
+class Costs(NamedTuple):
+    """What a sequence of views counts.
+
+    Attributes:
+        utility: of each view's information where none of it is told yet, shape (K,) [full views].
+        safe: probability that its place is free, shape (K,).
+        ratings: of each view as the first one, shape (K,) [full views].
+        first: distance to each view from where the camera is, shape (K,).
+        between: distance from each view to each, shape (K, K).
+        weight: what a unit of distance costs [full views].
+        look: a view costs as much as a way of this distance.
+        discount_distance: what comes after this distance counts 1/e.
+    """
+
+    utility: FloatArray
+    safe: FloatArray
+    ratings: FloatArray
+    first: FloatArray
+    between: FloatArray
+    weight: float
+    look: float
+    discount_distance: float
+
+
+@njit(cache=True, nogil=True)
+def best_sequences(
+    sharing: Sharing, costs: Costs, depth: int, beam: int, values: Any, followers: Any
+) -> None:
+    """Worth of the best sequence that starts with each view, found by a beam search.
+
+    Args:
+        sharing: see `Sharing`.
+        costs: see `Costs`.
+        depth: longest sequence.
+        beam: so many of the best sequences of each length are continued.
+        values: shape (K,), receives the utility.
+        followers: shape (K, depth - 1), receives the views that follow; -1 where there are no more.
+    """
+    count = len(costs.first)
+    followers[:] = -1
+    views, utilities, ways = np.empty((count, depth), np.int64), np.empty(count), np.empty(count)
+    for view in range(count):
+        views[view, 0] = view
+        ways[view] = costs.first[view] + costs.look
+        utilities[view] = _discounted(costs.ratings[view], ways[view], costs.discount_distance)
+        values[view] = utilities[view]
+    for length in range(1, depth):
+        longer, farther = _longer(sharing, costs, views, length, utilities, ways)
+        kept = _kept(longer, views, length, beam)
+        views, utilities, ways = _continued(views, length, longer, farther, kept)
+        for row in range(len(kept)):
+            start = views[row, 0]
+            if utilities[row] > values[start]:
+                values[start] = utilities[row]
+                followers[start] = -1
+                followers[start, :length] = views[row, 1 : length + 1]
+
+
+@njit(cache=True, nogil=True)
+def _discounted(rating: float, way: float, discount_distance: float) -> float:
+    """Of gains; what costs more than it brings is not made better by coming late."""
+    return rating * math.exp(-way / discount_distance) if rating > 0.0 else rating
+
+
+@njit(cache=True, nogil=True)
+def _longer(
+    sharing: Sharing, costs: Costs, views: Any, length: int, utilities: Any, ways: Any
+) -> tuple[Any, Any]:
+    """Worth and way of every sequence continued with every view, (N, K) each.
+
+    The utility is -inf for a view that the sequence holds.
+    """
+    count = len(costs.first)
+    longer, farther = np.full((len(utilities), count), -np.inf), np.empty((len(utilities), count))
+    told = np.empty(sharing.size)
+    for row in range(len(utilities)):
+        told[:] = 0.0
+        for turn in range(length):
+            _tell(sharing, views[row, turn], told)
+        for view in range(count):
+            if _holds(views[row], length, view):
+                continue
+            step = costs.between[views[row, length - 1], view]
+            news = costs.utility[view] * _unshared(sharing, view, told)
+            rating = (news - costs.weight * step) * costs.safe[view]
+            farther[row, view] = ways[row] + step + costs.look
+            gain = _discounted(rating, farther[row, view], costs.discount_distance)
+            longer[row, view] = utilities[row] + gain
+    return longer, farther
+
+
+@njit(cache=True, nogil=True)
+def _holds(views: Any, length: int, view: int) -> bool:
+    found = False
+    for turn in range(length):
+        found = found or views[turn] == view
+    return found
+
+
+@njit(cache=True, nogil=True)
+def _tell(sharing: Sharing, view: int, told: Any) -> None:
+    """Note in `told`, shape (size,), what a view informs."""
+    for entry in range(sharing.starts[view], sharing.starts[view + 1]):
+        place = sharing.places[entry]
+        told[place] = max(told[place], sharing.gains[entry])
+
+
+@njit(cache=True, nogil=True)
+def _unshared(sharing: Sharing, view: int, told: Any) -> float:
+    """Share of what a view informs that is not `told`, shape (size,), yet."""
+    news, total = 0.0, 0.0
+    for entry in range(sharing.starts[view], sharing.starts[view + 1]):
+        gain = sharing.gains[entry]
+        news += max(gain - told[sharing.places[entry]], 0.0)
+        total += gain
+    return news / max(total, 1e-12)
+
+
+@njit(cache=True, nogil=True)
+def _kept(longer: Any, views: Any, length: int, beam: int) -> Any:
+    """The best sequences, as flat indices; of those with the same views, ends alike, only one."""
+    flat = longer.ravel()
+    count, order = longer.shape[1], np.argsort(-flat)
+    kept, number = np.empty(min(beam, len(flat)), np.int64), 0
+    for index in order:
+        if number == len(kept) or flat[index] == -np.inf:
+            break
+        repeated = False
+        for other in kept[:number]:
+            row, before = views[index // count], views[other // count]
+            alike = index % count == other % count and row[0] == before[0]
+            if alike and _same_views(row, before, length):
+                repeated = True
+                break
+        if not repeated:
+            kept[number] = index
+            number += 1
+    return kept[:number]
+
+
+@njit(cache=True, nogil=True)
+def _same_views(one: Any, other: Any, length: int) -> bool:
+    same = True
+    for turn in range(length):
+        same = same and _holds(other, length, one[turn])
+    return same
+
+
+@njit(cache=True, nogil=True)
+def _continued(
+    views: Any, length: int, longer: Any, farther: Any, kept: Any
+) -> tuple[Any, Any, Any]:
+    """The kept sequences with their utilities and ways."""
+    count = longer.shape[1]
+    continued = np.empty((len(kept), views.shape[1]), np.int64)
+    for row in range(len(kept)):
+        continued[row] = views[kept[row] // count]
+        continued[row, length] = kept[row] % count
+    return continued, longer.ravel()[kept], farther.ravel()[kept]
+
+
+@njit(cache=True, nogil=True)
+def lower_alike(
+    order: Any, positions: Any, axes: Any, distance: float, cosine: float, by: float, values: Any
+) -> None:
+    """Lower the values of views that are like a better one.
+
+    Args:
+        order: of the views, best first, shape (M,).
+        positions: of the views, shape (M, 3).
+        axes: their optical axes, shape (M, 3).
+        distance: views are alike that are nearer than this, and
+        cosine: the cosine of whose angle is larger than this.
+        by: how much to take off.
+        values: shape (M,).
+    """
+    is_open = np.ones(len(order), np.bool_)
+    for rank in range(len(order)):
+        best = order[rank]
+        if not is_open[best]:
+            continue
+        for later in range(rank + 1, len(order)):
+            view = order[later]
+            if not is_open[view]:
+                continue
+            square, along = 0.0, 0.0
+            for axis in range(3):
+                square += (positions[view, axis] - positions[best, axis]) ** 2
+                along += axes[view, axis] * axes[best, axis]
+            if square < distance * distance and along > cosine:
+                is_open[view] = False
+                values[view] -= by

@@ -2,22 +2,67 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
 
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import FREE, LOG_ODDS_QUANTUM
 from infomap_ros.mapping.voxels.window import UNKNOWN_QUANTA
-from infomap_ros.views.ranking.localization_error import (
-    LocalizationError,
-    OdometryDrift,
-    rotation_vectors,
-)
 from infomap_ros.views.ranking.options import Options
 from infomap_ros.views.sampling.surroundings import Surroundings
-from infomap_ros.views.situation import MotionTimes
+from infomap_ros.views.situation import MotionTimes, Situation
+
+LocalizationError = Callable[[Situation, FloatArray, FloatArray], FloatArray]
+"""Error accumulated on the way to views: situation, poses (M, 4, 4), lengths of the ways (M,) [m]
+-> growth of the position sigma (M,) [m]."""
+
+
+POSITION_PER_METER, POSITION_PER_RADIAN = 0.03, 0.005
+"""Position sigma by odometry alone after one meter, and after turning by one radian [m]."""
+ROTATION_PER_METER, ROTATION_PER_RADIAN = 0.01, 0.02
+"""Rotation sigma likewise [rad]; the variances grow in proportion to the way."""
+
+
+class OdometryDrift:
+    """Localization error LE of eq. (11), until landmarks on the way can be predicted.
+
+    The pose covariance at the end of the way is the present one, turned into the position error
+    that a heading error causes over the way, plus what odometry adds.
+    """
+
+    def __call__(self, situation: Situation, poses: FloatArray, lengths: FloatArray) -> FloatArray:
+        """Error of the views, shape (M,) [m].
+
+        Args:
+            situation: pose and covariance now.
+            poses: ``T_map_camera``, shape (M, 4, 4).
+            lengths: of the ways there, shape (M,) [m].
+        """
+        before = float(np.trace(situation.pose_covariance[:3, :3]))
+        turns = rotation_angles(situation.T_map_camera, poses)
+        position = POSITION_PER_METER**2 * lengths + POSITION_PER_RADIAN**2 * turns
+        added = ROTATION_PER_METER**2 * lengths + ROTATION_PER_RADIAN**2 * turns
+        # A heading error moves the end of a way of length s by s; one that grows on the way in
+        # proportion to it, by s / sqrt(3).
+        heading = situation.pose_covariance[5, 5]
+        position = position + lengths**2 * (heading + added / 3.0)
+        return np.asarray(np.sqrt(before + position) - np.sqrt(before))
+
+
+def rotation_vectors(T_map_camera: FloatArray, poses: FloatArray) -> FloatArray:
+    """Rotations from one pose to others, about the axes of the map, (M, 4, 4) -> (M, 3) [rad]."""
+    turns = poses[:, :3, :3] @ T_map_camera[:3, :3].T
+    return np.asarray(Rotation.from_matrix(turns).as_rotvec()).reshape(-1, 3)
+
+
+def rotation_angles(T_map_camera: FloatArray, poses: FloatArray) -> FloatArray:
+    """Angles of these rotations, (M, 4, 4) -> (M,) [rad]."""
+    return np.asarray(np.linalg.norm(rotation_vectors(T_map_camera, poses), axis=1))
+
 
 TRUST_AZIMUTH = 3.0  # [rad] over which the share that a view has told says less of others
 

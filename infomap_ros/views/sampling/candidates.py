@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -147,6 +147,10 @@ def find_candidates(
     )
     verdicts = _tests(situation, surroundings, views[:, :3, 3], settings)
     stands = np.array([not verdict for verdict in verdicts], np.bool_)
+    low, high = np.clip(
+        (directions.lowest_elevation, directions.highest_elevation), *situation.elevations
+    )
+    directions = replace(directions, lowest_elevation=float(low), highest_elevation=float(high))
     looks = choose_orientations(
         surroundings, situation.camera, situation.max_range, accepted, directions, rng
     )
@@ -173,7 +177,7 @@ def _draw(
     for share, source in _sources(situation, surroundings, rng, settings, wanted):
         missing = round(wanted * share) - len(accepted)
         drawn = rng.permutation(source[_sample(len(source), _OVERSAMPLED * missing, rng)])
-        drawn = surroundings.centers(drawn)
+        drawn = _lifted(situation, surroundings.centers(drawn))
         against = _tests(situation, surroundings, drawn, settings)
         passed = np.array([not reason for reason in against], np.bool_)
         enough = np.searchsorted(np.cumsum(passed), missing) + 1
@@ -240,10 +244,26 @@ def _height_band(situation: Situation, surroundings: Surroundings) -> NDArray[np
     nx, ny, nz = surroundings.reached.shape
     columns = surroundings.centers(np.arange(nx * ny) * nz)
     z = surroundings.centers(np.arange(nz))[:, 2]
+    low, high = _band(situation)
     if situation.ground_height is None:
-        return np.asarray((z >= situation.heights[0]) & (z <= situation.heights[1]))
+        return np.asarray((z >= low) & (z <= high))
     above = z - situation.ground_height(columns[:, :2]).reshape(nx, ny, 1)
-    return np.asarray((above >= situation.heights[0]) & (above <= situation.heights[1]))
+    return np.asarray((above >= low) & (above <= high))
+
+
+def _band(situation: Situation) -> tuple[float, float]:
+    """The heights that the camera can be brought to, with one voxel between them at least."""
+    low, high = situation.heights
+    spare = max(0.5 * (situation.voxel_map.config.voxel_size - (high - low)), 0.0)
+    return low - spare, high + spare
+
+
+def _lifted(situation: Situation, points: FloatArray) -> FloatArray:
+    """Points, (N, 3) [m, map], of the band brought to heights that the camera can have."""
+    heights, (low, high) = situation.heights_of(points), _band(situation)
+    in_band = (heights >= low) & (heights <= high)
+    lift = np.where(in_band, np.clip(heights, *situation.heights) - heights, 0.0)
+    return points + lift[:, None] * (0.0, 0.0, 1.0)
 
 
 def _tests(
@@ -260,7 +280,7 @@ def _tests(
         inside & (camera_is_there | grid[tuple(within.T)])
         for grid in (surroundings.has_room, surroundings.reached)
     )
-    heights, (low, high) = situation.heights_of(points), situation.heights
+    heights, (low, high) = situation.heights_of(points), _band(situation)
     near = np.linalg.norm(points - situation.position, axis=1) <= settings.local_radius
     # Near the camera the arm may reach over ground that is not known.
     in_band = ((heights >= low) & (heights <= high)) | (np.isnan(heights) & near)

@@ -1,17 +1,19 @@
-"""What a few rays per view meet: cheap sums over the space in sight."""
+"""What a few rays per view meet, cheap sums over the space in sight, and what of it is wanted."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
+from infomap_ros.geometry import PinholeCamera, invert_transform, points_inside, transform_points
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.views.information.information_weights import InformationWeights
-from infomap_ros.views.information.rays import camera_rays
+from infomap_ros.mapping import FREE
+from infomap_ros.views.information.view_query import camera_rays
 from infomap_ros.views.sampling import sight_kernels
-from infomap_ros.views.sampling.surroundings import Surroundings
-from infomap_ros.views.situation import Situation
+from infomap_ros.views.sampling.surroundings import IntArray, Surroundings
+from infomap_ros.views.situation import Situation, Teammate
 
 _RAYS = (9, 7)  # of a coarse_view, across and down
 _RAYS_IN_PLANE = 45
@@ -102,3 +104,96 @@ def _rays(situation: Situation) -> tuple[FloatArray, float]:
     lengths = np.linalg.norm(rays, axis=1, keepdims=True)
     solid_angle = 1.0 / (camera.fx * camera.fy) * camera.width * camera.height / len(rays)
     return rays / lengths, solid_angle * float(np.mean(lengths**-3))
+
+
+_MOST_KINDS = 255
+
+
+@dataclass(frozen=True, eq=False)
+class InformationWeights:
+    """Weights of the information of voxels.
+
+    Attributes:
+        kinds: row in `weights` of each voxel of the window, uint8; empty where all have row 0.
+        weights: factor by interest, and share that teammates leave, shape (K, 2).
+    """
+
+    kinds: NDArray[np.uint8]
+    weights: FloatArray
+
+    def of(self, surroundings: Surroundings, points: FloatArray) -> FloatArray:
+        """Both factors at points, (N, 3) [m, map] -> (N, 2); (1, 1) beyond the window."""
+        places = surroundings.window.positions_of(points)
+        inside = surroundings.window.contains(places)
+        kinds = np.zeros(len(points), np.uint8)
+        if self.kinds.size:
+            kinds[inside] = self.kinds[tuple(places[inside].T)]
+        return np.asarray(self.weights[kinds])
+
+
+def information_weights_of(situation: Situation, surroundings: Surroundings) -> InformationWeights:
+    """Weigh the voxels of the window by interests and by what teammates are about to see."""
+    goals = [mate for mate in situation.teammates if mate.goal is not None]
+    if not situation.interests and not goals:
+        return InformationWeights(np.empty((0, 0, 0), np.uint8), np.ones((1, 2)))
+    painter = _Painter(surroundings)
+    for interest in situation.interests:
+        middle = interest.place.transform[:3, 3]
+        places = painter.around(middle, interest.place.solid.bounding_radius)
+        inside = points_inside(surroundings.window.centers_of(places), [interest.place])
+        painter.multiply(places[inside], 0, interest.weight)
+    for mate in goals:
+        painter.multiply(_about_to_see(surroundings, painter, mate, situation.camera), 1, 0.0)
+    return InformationWeights(painter.kinds, np.array(painter.weights))
+
+
+class _Painter:
+    """Gives voxels with equal weights the same kind."""
+
+    def __init__(self, surroundings: Surroundings) -> None:
+        self.kinds = np.zeros(surroundings.states.shape, np.uint8)
+        self.weights = [(1.0, 1.0)]
+        self._surroundings = surroundings
+
+    def around(self, middle: FloatArray, radius: float) -> IntArray:
+        """Positions of the voxels in a cube around a place that have something to tell, (N, 3)."""
+        states, window = self._surroundings.states, self._surroundings.window
+        low, high = window.positions_of(middle + np.array([[-radius], [radius]]))
+        low = np.clip(low, 0, states.shape)
+        high = np.clip(high + 1, low, states.shape)
+        part = states[tuple(map(slice, low, high))]
+        return np.argwhere(part != FREE) + low
+
+    def multiply(self, places: IntArray, column: int, factor: float) -> None:
+        """Multiply one of the weights of the voxels at positions, (N, 3)."""
+        where = tuple(places.T)
+        old = self.kinds[where]
+        for kind in np.unique(old):
+            weights = list(self.weights[kind])
+            weights[column] *= factor
+            new = (weights[0], weights[1])
+            if new not in self.weights and len(self.weights) < _MOST_KINDS:
+                self.weights.append(new)
+            if new in self.weights:
+                chosen = tuple(axis[old == kind] for axis in where)
+                self.kinds[chosen] = self.weights.index(new)
+
+
+def _about_to_see(
+    surroundings: Surroundings, painter: _Painter, mate: Teammate, own: PinholeCamera
+) -> IntArray:
+    """Positions of the voxels that a teammate's next view is going to see, (N, 3)."""
+    assert mate.goal is not None
+    camera, origin = mate.camera or own, mate.goal[:3, 3]
+    places = painter.around(origin, mate.max_range)
+    centers = surroundings.window.centers_of(places)
+    in_camera = transform_points(invert_transform(mate.goal), centers)
+    pixels = camera.project(in_camera)
+    with np.errstate(invalid="ignore"):
+        held = (pixels >= -0.5) & (pixels <= np.array([camera.width, camera.height]) - 0.5)
+    near = np.linalg.norm(in_camera, axis=1) <= mate.max_range
+    places = places[held.all(axis=1) & near]
+    seen = np.empty(len(places), np.bool_)
+    start = origin / surroundings.voxel_size - surroundings.window.first
+    sight_kernels.mark_in_sight(surroundings.states, start, places, seen)
+    return np.asarray(places[seen])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 _PREFIXES = ((1e9, "G"), (1e6, "M"), (1e3, "k"), (1.0, ""), (1e-3, "m"), (1e-6, "µ"))
 _THIN_SPACE = "\u2009"
@@ -20,11 +21,11 @@ def round_ticks(low: float, high: float, wanted: int = 5) -> list[float]:
     return [round(i * step, 12) for i in range(first, last + 1)]
 
 
-def rounded_up(value: float, tolerance: float) -> float:
+def rounded_up(value: float, tolerance: float, steps: Sequence[float] = (1, 2, 5, 10)) -> float:
     """The next of ..., 0.1, 0.2, 0.5, 1, 2, 5, ..., which may be a share `tolerance` too small."""
     power = 10.0 ** math.floor(math.log10(value))
     least = (1.0 - tolerance) * value
-    return next(f * power for f in (1.0, 2.0, 5.0, 10.0) if f * power >= least)
+    return next(f * power for f in steps if f * power >= least)
 
 
 def prefix(value: float) -> tuple[float, str]:

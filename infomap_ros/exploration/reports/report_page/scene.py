@@ -14,12 +14,15 @@ from numpy.typing import NDArray
 
 from infomap_ros.exploration.records.log_records import Candidate, Motion
 from infomap_ros.exploration.records.recorded_run import RecordedRun, Step
+from infomap_ros.exploration.records.run_log import plain
+from infomap_ros.exploration.records.surface_growth import grown_voxels
 from infomap_ros.exploration.reports.report_page.surface import (
     LOG_ODDS_RANGE,
     SIGMA_RANGE,
     DrawnSurface,
 )
 from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.mapping.voxels.keys import pack_all
 from infomap_ros.views.ranking import terms
 
 COLOR_MAPS = {
@@ -73,6 +76,7 @@ def scene_of(surface: DrawnSurface, cut: float | None, run: RecordedRun | None) 
         "normals": surface.normals,
         "sigmas": surface.sigmas,
         "evidence": surface.evidence,
+        "seen": _first_seen(surface, [] if run is None else run.steps),
     }
     for name in set(COLOR_MAPS.values()):
         arrays[f"map_{name}"] = _colors(name)
@@ -80,6 +84,21 @@ def scene_of(surface: DrawnSurface, cut: float | None, run: RecordedRun | None) 
     if run is not None:
         _add_run(manifest, arrays, run)
     return {"manifest": manifest, "arrays": arrays}
+
+
+def _first_seen(surface: DrawnSurface, steps: Sequence[Step]) -> NDArray[np.uint16]:
+    """Number of the decision that first knew each drawn voxel; the last where none has told."""
+    told = [grown_voxels(step.decision.surface) for step in steps]
+    if not any(map(len, told)):
+        return np.zeros(len(surface.cells), np.uint16)
+    keys = pack_all(surface.cells + surface.first)
+    order = np.argsort(keys)
+    seen = np.full(len(keys), len(steps) - 1, np.uint16)
+    for number in reversed(range(len(steps))):
+        drawn = pack_all(told[number] // surface.merged)
+        places = np.searchsorted(keys[order], np.intersect1d(drawn, keys))
+        seen[order[places]] = number
+    return seen
 
 
 def add_camera_path(scene: dict[str, Any], path: FloatArray) -> None:
@@ -101,11 +120,6 @@ def pack(arrays: Mapping[str, NDArray[Any]]) -> tuple[dict[str, Any], str]:
         parts.append(data + bytes(padding))
         offset += len(data) + padding
     return places, base64.b64encode(zlib.compress(b"".join(parts), 9)).decode("ascii")
-
-
-def plain(value: float, digits: int = 6) -> float | None:
-    """A number for JSON: rounded, None where it is not finite."""
-    return float(f"{value:.{digits}g}") if math.isfinite(value) else None
 
 
 def _add_run(manifest: dict[str, Any], arrays: dict[str, NDArray[Any]], run: RecordedRun) -> None:
@@ -162,14 +176,14 @@ def _step(step: Step) -> dict[str, Any]:
     return {
         "view": decision.view,
         "time": plain(decision.time),
-        "pose": None if decision.pose is None else [plain(v) for v in decision.pose.reshape(-1)],
-        "base": None if decision.base is None else [plain(v) for v in decision.base],
+        "pose": None if decision.pose is None else plain(decision.pose.ravel()),
+        "base": plain(decision.base),
         "strategy": decision.strategy,
         "rating": plain(decision.rating),
-        "terms": {name: plain(value) for name, value in decision.terms.items()},
+        "terms": plain(decision.terms),
         "reason": decision.reason,
         "considered": decision.considered,
-        "seconds": {name: plain(value) for name, value in decision.seconds.items()},
+        "seconds": plain(decision.seconds),
         "outcome": step.outcome,
         "taken": step.taken,
     }

@@ -4,15 +4,93 @@ from __future__ import annotations
 
 import base64
 import html
+import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from importlib.resources import files
 from pathlib import Path
+from string import Template
+from typing import Any
 
-from infomap_ros.exploration.records.log_records import Motion, Progress
+import infomap_ros.exploration.reports.report_page as package
+from infomap_ros.exploration.records.log_records import Progress
 from infomap_ros.exploration.records.recorded_run import RecordedRun
 from infomap_ros.exploration.reports.report_page.axes import duration, percent, quantity
 from infomap_ros.exploration.reports.report_page.charts import Curve, line_chart
+from infomap_ros.exploration.reports.report_page.scene import pack
 from infomap_ros.mapping import VoxelMap
+
+# In the order in which they build on each other.
+_SCRIPTS = (
+    *("basics.js", "data.js", "vectors.js", "orbit.js", "drawing.js", "layers.js"),
+    *("overlay.js", "viewer.js", "panel.js", "main.js"),
+)
+_PLAIN_SCRIPTS = ("basics.js", "plain.js")
+
+
+@dataclass(frozen=True)
+class Section:
+    """A part of the page.
+
+    Attributes:
+        name: for links to it.
+        heading: its title.
+        body: its HTML; a section with an empty body is left out.
+    """
+
+    name: str
+    heading: str
+    body: str
+
+
+def page(
+    title: str,
+    subtitle: str,
+    lead: str,
+    scene: Mapping[str, Any] | None,
+    sections: Sequence[Section],
+) -> str:
+    """Put the page together.
+
+    Args:
+        title: plain text.
+        subtitle: HTML below it.
+        lead: HTML before the 3-D view.
+        scene: of `scene_of`; None for a page without a 3-D view.
+        sections: what follows the 3-D view.
+    """
+    return Template(_asset("page.html")).substitute(
+        title=html.escape(title),
+        subtitle=subtitle,
+        lead=lead,
+        sections="\n".join(_section(section) for section in sections if section.body),
+        style=_asset("page.css"),
+        viewer="" if scene is None else _asset("viewer.html"),
+        script="\n".join(map(_asset, _PLAIN_SCRIPTS if scene is None else _SCRIPTS)),
+        data="" if scene is None else _scene_data(scene),
+    )
+
+
+def _scene_data(scene: Mapping[str, Any]) -> str:
+    places, data = pack(scene["arrays"])
+    manifest = json.dumps({**scene["manifest"], "arrays": places}, allow_nan=False)
+    return _data("manifest", "application/json", manifest) + _data("arrays", "text/plain", data)
+
+
+def _section(section: Section) -> str:
+    heading = html.escape(section.heading)
+    return f'<section id="{section.name}"><h2>{heading}</h2>{section.body}</section>'
+
+
+def _data(name: str, kind: str, text: str) -> str:
+    """Text that a script reads and that cannot end its own element."""
+    return f'<script id="{name}" type="{kind}">{text.replace("<", chr(92) + "u003c")}</script>\n'
+
+
+def _asset(name: str) -> str:
+    return files(package).joinpath("assets", name).read_text(encoding="utf-8")
+
 
 _ENDINGS = {
     "done": ("good", "Done"),
@@ -70,9 +148,8 @@ def run_tiles(run: RecordedRun) -> str:
     """Key figures of a run."""
     progress = run.of(Progress)
     last = progress[-1] if progress else None
-    taken = sum(motion.action == "look" and not motion.outcome for motion in run.of(Motion))
     figures = [
-        ("views", str(max(taken, last.views if last else 0))),
+        ("views", str(run.views)),
         ("time", duration(run.seconds)),
     ]
     if last is not None:
@@ -108,42 +185,69 @@ def tiles(figures: Sequence[tuple[str, str]]) -> str:
     return f'<dl class="tiles">{items}</dl>'
 
 
+AXES: Mapping[str, Callable[[Progress], float]] = {
+    "views": lambda record: float(record.views),
+    "distance driven [m]": lambda record: record.distance,
+    "time [s]": lambda record: record.time,
+}
+"""What progress is drawn over."""
+KNOWN = ("known", "%", False, lambda record: 100.0 * record.known_fraction)
+VALUES: Sequence[tuple[str, str, bool, Callable[[Progress], float]]] = (
+    KNOWN,
+    ("known precisely", "%", False, lambda record: 100.0 * record.precise_fraction),
+    ("entropy left", "bit", True, lambda record: record.entropy_bits),
+    ("mean sigma", "m", True, lambda record: record.mean_sigma),
+)
+"""What is drawn of progress: title, unit, whether that takes an SI prefix, and the value."""
+
+
+def charts(
+    runs: Mapping[str, Sequence[Progress]],
+    axes: Mapping[str, Callable[[Progress], float]] = AXES,
+    values: Sequence[tuple[str, str, bool, Callable[[Progress], float]]] = VALUES,
+    goals: Mapping[str, float | None] | None = None,
+) -> str:
+    """A chart of each value over each axis.
+
+    Args:
+        runs: progress of each, a curve in every chart, by its name.
+        axes: of `AXES`, by label.
+        values: of `VALUES`.
+        goals: that the task asks for, by title.
+    """
+    drawn = []
+    for label, x_of in axes.items():
+        for title, unit, scaled, y_of in values:
+            goal, high = (goals or {}).get(title), None if scaled else 100.0
+            curves = []
+            for name, progress in runs.items():
+                xs, ys = [x_of(r) for r in progress], [y_of(r) for r in progress]
+                curves.append(Curve(title, unit, xs, ys, label, scaled, goal, 0.0, high, name))
+            drawn.append(line_chart(*curves))
+    return "".join(drawn)
+
+
 def curves(run: RecordedRun) -> str:
     """Coverage, entropy and sigma over views and over distance."""
     progress = run.of(Progress)
     if not progress:
         return "<p>The log tells no progress.</p>"
-    task = run.start.task
+    goals = {"known precisely": goal_of(run)}
     by_view = list({record.views: record for record in progress}.values())
-    charts = _curves(by_view, [r.views for r in by_view], "views", task)
+    drawn = charts({"": by_view}, {"views": AXES["views"]}, goals=goals)
     note = ""
     if any(record.distance > 0.0 for record in progress):
-        charts += _curves(progress, [r.distance for r in progress], "distance driven [m]", task)
+        driven = "distance driven [m]"
+        drawn += charts({"": progress}, {driven: AXES[driven]}, goals=goals)
     else:
         note = "<p>The base did not drive, so there are no curves over distance.</p>"
-    return f'<div class="charts">{"".join(charts)}</div>{note}'
+    return f'<div class="charts">{drawn}</div>{note}'
 
 
-def _curves(
-    progress: Sequence[Progress], xs: Sequence[float], label: str, task: Mapping[str, object]
-) -> list[str]:
-    wanted = _goal(task, "known_fraction")
-    share = [100.0 * record.known_fraction for record in progress]
-    precise = [100.0 * record.precise_fraction for record in progress]
-    bits = [record.entropy_bits for record in progress]
-    sigmas = [record.mean_sigma for record in progress]
-    goal = None if wanted is None else 100.0 * wanted
-    return [
-        line_chart(Curve("known", "%", xs, share, label, high=100.0)),
-        line_chart(Curve("known precisely", "%", xs, precise, label, goal=goal, high=100.0)),
-        line_chart(Curve("entropy left", "bit", xs, bits, label, scaled=True)),
-        line_chart(Curve("mean sigma", "m", xs, sigmas, label, scaled=True)),
-    ]
-
-
-def _goal(task: Mapping[str, object], name: str) -> float | None:
-    value = task.get(name)
-    return float(value) if isinstance(value, int | float) else None
+def goal_of(run: RecordedRun) -> float | None:
+    """Share of the surface that the task asks for [%]; None where the log does not tell."""
+    value = run.start.task.get("known_fraction")
+    return 100.0 * float(value) if isinstance(value, int | float) else None
 
 
 def pictures(files: Sequence[tuple[Path, str]]) -> str:

@@ -11,6 +11,7 @@ from infomap_ros.geometry.symmetric import smallest_axes
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.mapping.files.pictures import LEAST_EVIDENCE
+from infomap_ros.mapping.voxels.keys import pack_all
 
 LARGEST_SURFACE = 250_000
 """More voxels than this are merged to larger ones: a browser has to draw them smoothly."""
@@ -88,13 +89,7 @@ def coded(values: FloatArray, low: float, high: float) -> NDArray[np.uint8]:
 
 def _merge(cells: NDArray[np.int64], values: FloatArray) -> tuple[NDArray[np.int64], FloatArray]:
     """Mean of the values of equal cells."""
-    low = cells.min(axis=0)
-    _, first, owners = np.unique(_keys(cells - low), return_index=True, return_inverse=True)
+    _, first, owners = np.unique(pack_all(cells), return_index=True, return_inverse=True)
     counts = np.bincount(owners)
     means = [np.bincount(owners, column) / counts for column in values.T]
     return cells[first], np.column_stack(means)
-
-
-def _keys(cells: NDArray[np.int64]) -> NDArray[np.int64]:
-    """One number for each place, places from 0 to 2^21 - 1 along each axis."""
-    return np.asarray((cells[:, 0] << 42) | (cells[:, 1] << 21) | cells[:, 2])

@@ -1,12 +1,12 @@
 // Three things that WebGL 2 draws, all as instances: voxels, thick line segments, round marks.
 const VOXEL_SHADER = `#version 300 es
-in vec3 corner; in vec3 cell; in vec3 normal; in vec2 value;
-uniform mat4 matrix; uniform vec3 eye, first; uniform float size, grown, cut, least;
+in vec3 corner; in vec3 cell; in vec3 normal; in vec2 value; in float seen;
+uniform mat4 matrix; uniform vec3 eye, first; uniform float size, grown, cut, least, until;
 uniform int mode; uniform vec2 range; uniform sampler2D colors;
 out vec3 color; out vec3 local;
 void main() {
   vec3 center = (cell + first + 0.5) * size;
-  if (center.z > cut || value.y < least) { gl_Position = vec4(0.0, 0.0, 2.0, 1.0); return; }
+  if (center.z > cut || value.y < least || seen > until) { gl_Position = vec4(0.0, 0.0, 2.0, 1.0); return; }
   vec3 side = mix(vec3(-1.0), vec3(1.0), greaterThanEqual(eye, center)); // the three faces that are seen
   local = corner;
   gl_Position = matrix * vec4(center + 0.5 * grown * corner * side, 1.0);
@@ -147,7 +147,9 @@ class Painter {
     this.count = arrays.cells.length / 3;
     const order = shuffled(this.count);
     const values = new Uint8Array(2 * this.count), cells = new Uint16Array(3 * this.count), normals = new Int8Array(3 * this.count);
+    const seen = new Uint16Array(this.count);
     order.forEach((from, to) => {
+      seen[to] = arrays.seen[from];
       values[2 * to] = arrays.sigmas[from];
       values[2 * to + 1] = arrays.evidence[from];
       for (let k = 0; k < 3; k++) {
@@ -160,6 +162,7 @@ class Painter {
       cell: [cells, 3, gl.UNSIGNED_SHORT, false, true],
       normal: [normals, 3, gl.BYTE, true, true],
       value: [values, 2, gl.UNSIGNED_BYTE, true, true],
+      seen: [seen, 1, gl.UNSIGNED_SHORT, false, true],
     }, CUBE_TRIANGLES);
   }
 

@@ -24,11 +24,13 @@ function axisItems(bounds, colors) {
   return items;
 }
 
-function pathItems(arrays, who, colors) {
+// Up to the decision `until`.
+function pathItems(arrays, who, colors, until) {
   const items = [], tint = [...toRgb(colors[who]), 1];
   const point = (i) => [...arrays.path_points.subarray(3 * i, 3 * i + 3)];
+  const end = until < steps.length ? steps[until].time : Infinity;
   (manifest.paths || []).forEach((path, n) => {
-    if (path.who !== who) return;
+    if (path.who !== who || path.time > end) return;
     for (let i = arrays.path_starts[n]; i + 1 < arrays.path_starts[n + 1]; i++) {
       items.push({ a: point(i), b: point(i + 1), tint, width: who === "base" ? 3.5 : 2.5 });
     }

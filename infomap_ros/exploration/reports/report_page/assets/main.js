@@ -58,7 +58,7 @@ async function start() {
     byId("notice").textContent = `No 3-D view here (${error.message}). The pictures below show the map without.`;
   }
   connectTheme();
-  if (steps.length) choose(Math.max(0, steps.findIndex((step) => step.pose)));
+  if (steps.length) choose(steps.length - 1);
   document.documentElement.dataset.ready = viewer ? "3d" : "2d";
 }
 start();

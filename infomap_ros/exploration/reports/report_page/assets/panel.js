@@ -35,6 +35,7 @@ function showStep(n, arrays) {
   parts.push(valuesTable("Where", facts, String));
   if (Object.keys(step.seconds).length) parts.push(valuesTable("Computing time", step.seconds, (s) => quantity(s, "s")));
   byId("details").replaceChildren(...parts);
+  byId("through").disabled = !step.pose;
 }
 
 // Where the marked voxels are, and how far from each other.

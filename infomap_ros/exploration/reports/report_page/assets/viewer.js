@@ -24,11 +24,9 @@ class Viewer {
 
   recolor() {
     this.colors = themeColors();
-    const { painter, arrays, colors } = this;
+    const { painter, colors } = this;
     this.groups = {
       axes: painter.group(axisItems(manifest.bounds, colors), painter.lines),
-      base: painter.group(pathItems(arrays, "base", colors), painter.lines),
-      camera: painter.group(pathItems(arrays, "camera", colors), painter.lines),
     };
     this.regroup();
   }
@@ -37,6 +35,9 @@ class Viewer {
     const { painter, colors, size } = this;
     const table = this.arrays[`map_${manifest.colorMaps.rating}`];
     const { marks, stubs } = candidateItems(this.candidates, size, colors, table);
+    for (const who of ["base", "camera"]) {
+      this.groups[who] = painter.group(pathItems(this.arrays, who, colors, this.until), painter.lines);
+    }
     this.groups.views = painter.group(viewItems(this.step, size, colors), painter.lines);
     this.groups.candidates = painter.group(marks, painter.marks);
     this.groups.stubs = painter.group(stubs, painter.lines);
@@ -48,6 +49,11 @@ class Viewer {
     this.step = step;
     this.candidates = candidatesOf(this.arrays, step);
     this.regroup();
+  }
+
+  // What a decision did not know yet is not drawn; all with the last one, or without a run.
+  get until() {
+    return this.step >= 0 && this.step < steps.length - 1 ? this.step : 65535;
   }
 
   range(mode) {
@@ -118,7 +124,7 @@ class Viewer {
     const { matrix, eye } = orbit;
     const mode = ["height", "sigma", "probability"].indexOf(this.mode);
     if (shown.surface) {
-      const placed = { first: manifest.first, size: manifest.voxel, cut: Math.min(this.cut, 1e9), least: this.least - 0.002 };
+      const placed = { first: manifest.first, size: manifest.voxel, cut: Math.min(this.cut, 1e9), least: this.least - 0.002, until: this.until };
       painter.drawSurface({ matrix, eye, mode, range: this.range(this.mode), ...placed }, manifest.colorMaps[this.mode], share);
     }
     const values = { matrix, screen: [scene.width, scene.height], ratio: this.ratio };
@@ -147,10 +153,10 @@ class Viewer {
 
   // The voxel in sight at a place on the screen: its center, what is known of it, depth; or null.
   voxelAt(x, y) {
-    const { cells, evidence, sigmas } = this.arrays, [fx, fy, fz] = manifest.first;
+    const { cells, evidence, seen, sigmas } = this.arrays, [fx, fy, fz] = manifest.first;
     let best = null, least = Infinity;
     for (let i = 0; i < cells.length; i += 3) {
-      if (evidence[i / 3] / 255 < this.least - 0.002) continue;
+      if (evidence[i / 3] / 255 < this.least - 0.002 || seen[i / 3] > this.until) continue;
       const p = [cells[i] + fx + 0.5, cells[i + 1] + fy + 0.5, cells[i + 2] + fz + 0.5].map((v) => v * manifest.voxel);
       const at = p[2] <= this.cut ? this.orbit.project(p) : null;
       if (!at || Math.hypot(at[0] - x, at[1] - y) > 6 || at[2] > least) continue;

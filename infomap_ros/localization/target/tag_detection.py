@@ -22,6 +22,7 @@ from infomap_ros.localization.target.tag_board import cells, dictionary
 # levels D and B that change linearly along the edge, as light does. The noise of a pixel is what
 # the fit leaves; it gives the covariance of the line. Neighboring lines are intersected.
 
+_LEAST_CONTOUR = 0.6  # pixels of a contour for each of its length: diagonal ones have 1/sqrt(2)
 _ENDS = 0.12  # share of an edge at either end that the other edge's blur reaches
 _INSIDE, _OUTSIDE = 0.55, 0.8  # reach of the pixels beside an edge, in cells
 _LEAST_REACH, _LARGEST_REACH = 1.2, 5.0  # [px]
@@ -359,6 +360,8 @@ class TagFinder:
         )
 
     def _detect(self, image: NDArray[np.uint8]) -> tuple[list[FloatArray], list[int]]:
+        shortest = _LEAST_CONTOUR * 4.0 * self.config.min_side
+        self._parameters.minMarkerPerimeterRate = shortest / max(image.shape)
         if hasattr(aruco, "ArucoDetector"):
             detector = aruco.ArucoDetector(self._dictionary, self._parameters)
             quads, ids, _ = detector.detectMarkers(image)
@@ -371,13 +374,10 @@ class TagFinder:
 
 
 def _detector_parameters(config: TagDetectionConfig) -> Any:
-    if hasattr(aruco, "ArucoDetector"):
-        parameters = aruco.DetectorParameters()
-    else:
-        parameters = aruco.DetectorParameters_create()
+    create = getattr(aruco, "DetectorParameters_create", None) or aruco.DetectorParameters
+    parameters = create()
     parameters.cornerRefinementMethod = aruco.CORNER_REFINE_SUBPIX
     parameters.errorCorrectionRate = config.corrected_bits
-    parameters.minMarkerPerimeterRate = 0.01
     return parameters
 
 

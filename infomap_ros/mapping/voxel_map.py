@@ -23,12 +23,12 @@ from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import ray_casting
 from infomap_ros.mapping.config import LOG_ODDS_QUANTUM, VoxelMapConfig
 from infomap_ros.mapping.files.map_file import read_map_file, write_map_file
-from infomap_ros.mapping.scans import scan_input, traversal
+from infomap_ros.mapping.scans import scan_input
 from infomap_ros.mapping.scans.integration import IntegrationReport, ScanIntegrator
 from infomap_ros.mapping.voxels import queries
 from infomap_ros.mapping.voxels.blocks import BLOCK_COUNT
 from infomap_ros.mapping.voxels.changes import VoxelChanges, mark_changed, put_offset, take_changes
-from infomap_ros.mapping.voxels.keys import BLOCK_SIDE
+from infomap_ros.mapping.voxels.keys import BLOCK_SIDE, unpack_all
 from infomap_ros.mapping.voxels.state import MEMORY_ARRAY, storage_from_state, storage_state
 from infomap_ros.mapping.voxels.storage import MapStorage
 from infomap_ros.mapping.voxels.window import VoxelWindow, window_of
@@ -313,8 +313,7 @@ class VoxelMap:
         count = int(self._storage.blocks.counts[BLOCK_COUNT])
         if count == 0:
             return None
-        coordinates = np.empty((count, 3), np.int64)
-        traversal.unpack_all(self._storage.blocks.keys, count, coordinates)
+        coordinates = unpack_all(self._storage.blocks.keys[:count])
         low = coordinates.min(axis=0) * BLOCK_SIDE
         return low, (coordinates.max(axis=0) + 1) * BLOCK_SIDE - 1
 

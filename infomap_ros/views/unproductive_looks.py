@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap
-from infomap_ros.mapping.scans.traversal import unpack_all
+from infomap_ros.mapping.voxels.keys import unpack_all
 from infomap_ros.mapping.voxels.voxel_states import put_states, unknown_states
 
 _CERTAINLY_FREE = -60  # [quanta]
@@ -56,7 +56,7 @@ class UnproductiveLooks:
             max_range: of the camera [m].
         """
         unknown = keys[~_known(voxel_map, keys)]
-        centers = (_indices(unknown) + 0.5) * voxel_map.config.voxel_size
+        centers = (unpack_all(unknown) + 0.5) * voxel_map.config.voxel_size
         nearness = np.linalg.norm(centers - position, axis=1) / max_range
         weights = np.maximum(1.0 - nearness**2, 0.0)
         still = ~_known(voxel_map, self._keys)
@@ -80,22 +80,15 @@ class UnproductiveLooks:
         if not len(given_up):
             return voxel_map
         copy = VoxelMap.from_state(voxel_map.config, voxel_map.state())
-        states = unknown_states(_indices(given_up).astype(np.int32))
+        states = unknown_states(unpack_all(given_up).astype(np.int32))
         states.known[:] = True
         states.quanta[:] = _CERTAINLY_FREE
         put_states(copy._storage, states)
         return copy
 
 
-def _indices(keys: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Voxel indices of packed keys, shape (K, 3)."""
-    indices = np.empty((len(keys), 3), np.int64)
-    unpack_all(keys, len(keys), indices)
-    return indices
-
-
 def _known(voxel_map: VoxelMap, keys: NDArray[np.int64]) -> NDArray[np.bool_]:
-    return voxel_map.is_known((_indices(keys) + 0.5) * voxel_map.config.voxel_size)
+    return voxel_map.is_known((unpack_all(keys) + 0.5) * voxel_map.config.voxel_size)
 
 
 class GainPrior:

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from infomap_ros.errors import RunLogError
 from infomap_ros.mapping import VoxelMap
-from infomap_ros.mapping.scans.traversal import unpack_all
-from infomap_ros.mapping.voxels.keys import pack_all
+from infomap_ros.mapping.voxels.keys import pack_all, unpack_all
 
 LARGEST = 250_000
 """Of larger surfaces nothing is told: a log must stay small, and a choice quick."""
@@ -52,6 +51,4 @@ def grown_voxels(text: str) -> NDArray[np.int64]:
         keys = np.cumsum(np.frombuffer(unpacked, "<i8"))
     except (ValueError, zlib.error) as error:
         raise RunLogError(f"'surface' of a decision cannot be read: {error}") from error
-    indices = np.empty((len(keys), 3), np.int64)
-    unpack_all(keys, len(keys), indices)
-    return indices
+    return unpack_all(keys)

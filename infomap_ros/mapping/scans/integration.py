@@ -23,6 +23,7 @@ from infomap_ros.mapping.scans.image_gathering import ImageGatherer
 from infomap_ros.mapping.scans.observation import observe_rows
 from infomap_ros.mapping.scans.scan_input import Scan
 from infomap_ros.mapping.scans.workers import Workers
+from infomap_ros.mapping.voxels.keys import unpack_all
 from infomap_ros.mapping.voxels.storage import (
     FreeBlocks,
     MapStorage,
@@ -155,8 +156,7 @@ class CloudGatherer:
             check_block_count(2 * len(marks.keys), self._config)
             marks = traversal.empty_marks(2 * len(marks.keys))
         count = int(marks.used[0])
-        coordinates = np.empty((count, 3), np.int32)
-        traversal.unpack_all(marks.keys, count, coordinates)
+        coordinates = unpack_all(marks.keys[:count]).astype(np.int32)
         free = FreeBlocks(coordinates, marks.bits[:count])
         return GatheredScan([self._rows], free, lambda first, last: None, 0)
 

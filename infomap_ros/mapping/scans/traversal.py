@@ -23,7 +23,7 @@ from infomap_ros.mapping.scans.scan import (
     row_of,
     walk_through,
 )
-from infomap_ros.mapping.voxels.keys import BLOCK_BITS, local_index, pack, table_slot, unpack
+from infomap_ros.mapping.voxels.keys import BLOCK_BITS, local_index, pack, table_slot
 
 _ONE = np.uint64(1)
 _LONGEST_MARGIN = 20.0
@@ -258,11 +258,3 @@ def mark_free(marks: Any, rows: Any, far: Any, sensor: Any, gap: float) -> bool:
         if length > margin and not mark_ray(marks, start, end, (length - margin) / length):
             return False
     return True
-
-
-@njit(cache=True, nogil=True)
-def unpack_all(keys: Any, count: int, coordinates: Any) -> None:
-    """Coordinates, shape (count, 3), of packed keys."""
-    for i in range(count):
-        x, y, z = unpack(keys[i])
-        coordinates[i, 0], coordinates[i, 1], coordinates[i, 2] = x, y, z

@@ -40,6 +40,11 @@ def pack_all(coordinates: NDArray[np.int64]) -> NDArray[np.int64]:
     return np.asarray((x << 42) | (y << 21) | z)
 
 
+def unpack_all(keys: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Inverse of `pack_all`: shape (N,) -> (N, 3)."""
+    return np.column_stack([keys >> 42, (keys >> 21) & _MASK, keys & _MASK]) - COORDINATE_LIMIT
+
+
 @kernel
 def unpack(key: int) -> tuple[int, int, int]:
     """Inverse of `pack`."""

@@ -7,6 +7,7 @@ ground is not driven on.
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -47,12 +48,7 @@ def with_standing_ground(
     Raises:
         InvalidInputError: not a rigid transform, or one that is tilted too far to stand.
     """
-    names = ("heights", "sigma", "roughness", "step", "floor", "overhead", "seen")
-    changed = dataclasses.replace(terrain, **{n: getattr(terrain, n).copy() for n in names})
-    _declare(changed, vehicle, check_transform(T_map_base, "T_map_base"), reach)
-    # Ground that has gone made steps of what is beside it, too.
-    largest_steps(changed.heights, changed.sigma, changed.resolution, changed.step)
-    return changed
+    return _with_places(terrain, vehicle, [(T_map_base, reach)])
 
 
 def known_ground(
@@ -74,9 +70,21 @@ def known_ground(
         reach: how far around the body the ground is known [m].
     """
     terrain = terrain_of(voxel_map, config, T_map_base[:3, 3])
-    if start is not None:
-        terrain = start.ground(terrain, vehicle)
-    return with_standing_ground(terrain, vehicle, T_map_base, reach)
+    began = [] if start is None else [(start.T_map_base, start.reach(vehicle))]
+    return _with_places(terrain, vehicle, [*began, (T_map_base, reach)])
+
+
+def _with_places(
+    terrain: Terrain, vehicle: Vehicle, places: Sequence[tuple[ArrayLike, float]]
+) -> Terrain:
+    """As `with_standing_ground`, of poses with their reach, one after the other."""
+    names = ("heights", "sigma", "roughness", "step", "floor", "overhead", "seen")
+    changed = dataclasses.replace(terrain, **{n: getattr(terrain, n).copy() for n in names})
+    for T_map_base, reach in places:
+        _declare(changed, vehicle, check_transform(T_map_base, "T_map_base"), reach)
+    # Ground that has gone made steps of what is beside it, too.
+    largest_steps(changed.heights, changed.sigma, changed.resolution, changed.step)
+    return changed
 
 
 def _declare(terrain: Terrain, vehicle: Vehicle, T_map_base: FloatArray, reach: float) -> None:
@@ -171,6 +179,9 @@ class ClearStart:
 
     def ground(self, terrain: Terrain, vehicle: Vehicle) -> Terrain:
         """The terrain with the plane of the wheels where the map knows no ground."""
+        return with_standing_ground(terrain, vehicle, self.T_map_base, self.reach(vehicle))
+
+    def reach(self, vehicle: Vehicle) -> float:
+        """How far about the vehicle that ground is declared even [m]."""
         extent = np.abs(vehicle.undercarriage.outline).max()
-        reach = max(self.radius - float(extent), 0.0)
-        return with_standing_ground(terrain, vehicle, self.T_map_base, reach)
+        return max(self.radius - float(extent), 0.0)

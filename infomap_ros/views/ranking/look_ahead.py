@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from infomap_ros.geometry.config import check_config, setting
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.mapping.scans.traversal import unpack_all
+from infomap_ros.mapping.voxels.keys import unpack_all
 from infomap_ros.views.ranking.options import Options
 from infomap_ros.views.ranking.rating import Ratings
 from infomap_ros.views.ranking.strategy import Scores
@@ -159,9 +159,8 @@ def _sharing_of(options: Options, chosen: IntArray) -> Sharing:
         np.concatenate([gain.keys for gain in gains] or [np.empty(0, np.int64)]),
         return_inverse=True,
     )
-    indices = np.empty((len(keys), 3), np.int64)
-    unpack_all(keys, len(keys), indices)
-    centers = np.asarray((indices + 0.5) * options.surroundings.voxel_size, dtype=np.float64)
+    size = options.surroundings.voxel_size
+    centers = np.asarray((unpack_all(keys) + 0.5) * size, np.float64)
     information_weights = options.information_weights.of(options.surroundings, centers).prod(axis=1)
     places = np.ravel(places).astype(np.int64)
     values = (

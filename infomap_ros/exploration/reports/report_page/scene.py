@@ -93,10 +93,11 @@ def _first_seen(surface: DrawnSurface, steps: Sequence[Step]) -> NDArray[np.uint
         return np.zeros(len(surface.cells), np.uint16)
     keys = pack_all(surface.cells + surface.first)
     order = np.argsort(keys)
+    ordered = keys[order]
     seen = np.full(len(keys), len(steps) - 1, np.uint16)
     for number in reversed(range(len(steps))):
         drawn = pack_all(told[number] // surface.merged)
-        places = np.searchsorted(keys[order], np.intersect1d(drawn, keys))
+        places = np.searchsorted(ordered, np.intersect1d(drawn, ordered))
         seen[order[places]] = number
     return seen
 

@@ -1,4 +1,4 @@
-"""How well the rover explores seeded worlds by the node graph over DDS, as `make demo` does.
+"""How well a robot explores seeded worlds by the node graph over DDS, as `make demo` does.
 
 Each world is a run of `infomap_ros.nodes.live.demo`: simulator, localization, range, map, choice
 and loop are processes, the world has its usual size, and at the end map and poses are compared with
@@ -9,6 +9,7 @@ Simulated time waits for the nodes, so that a row does not depend on the machine
 they think while time passes. A world takes 10 to 60 minutes of two cores.
 
     python benchmarks/live_worlds.py --worlds mars:1 office:2 cave:3 --out out/live_worlds
+    python benchmarks/live_worlds.py --robot tiago --worlds office:1 --size 7 --out out/live_worlds
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ from infomap_ros.nodes.live.demo import DemoConfig, run_demo
 TEN_WORLDS = [f"mars:{seed}" for seed in range(1, 5)]
 TEN_WORLDS += [f"{name}:{seed}" for name in ("office", "cave") for seed in range(1, 4)]
 _COLUMNS = (
+    "robot",
     "world, seed",
     "ended, because",
     "views",
@@ -50,18 +52,23 @@ def kept_or_new(config: DemoConfig, out: Path, console: Console) -> dict[str, An
     Raises:
         InfomapError: it could not be explored; says why.
     """
-    file = row_file(out, config.world, config.seed)
+    file = row_file(out, config)
     if file.is_file():
         row: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
         return row
-    row = {"software": software(), **run_demo(config, file.with_suffix(""), console)}
+    row = {
+        "software": software(),
+        "robot": config.robot,
+        **run_demo(config, file.with_suffix(""), console),
+    }
     write_json(file, row)
     return row
 
 
-def row_file(out: Path, name: str, seed: int) -> Path:
+def row_file(out: Path, config: DemoConfig) -> Path:
     """Where the figures of a world are kept."""
-    return out / f"{name}_{seed}.json"
+    robot = f"{Path(config.robot).stem}_" if config.robot else ""
+    return out / f"{robot}{config.world}_{config.seed}.json"
 
 
 def table(rows: list[dict[str, Any]]) -> str:
@@ -74,6 +81,7 @@ def _cells(row: dict[str, Any]) -> tuple[str, ...]:
     reason = row["end"] + (f": {row['detail']}" if row["detail"] else "")
     nees = "-" if row["pose_nees"] is None else f"{row['pose_nees']:.2f}"
     return (
+        row.get("robot") or "rover",
         f"{row['world']} {row['seed']}",
         reason,
         f"{row['views']:.0f}",
@@ -95,6 +103,7 @@ def main() -> int:
         description=__doc__.split("\n")[0], formatter_class=argparse.ArgumentDefaultsHelpFormatter
     )
     parser.add_argument("--worlds", nargs="+", default=TEN_WORLDS, help="name:seed ...")
+    parser.add_argument("--robot", default="", help="its file, or tiago, stretch and so on")
     parser.add_argument("--out", type=Path, default=Path("out/live_worlds"))
     parser.add_argument("--table", action="store_true", help="run nothing, show what is there")
     parser.add_argument("--size", type=float, default=usual.size, help="[m]; 0: the usual one")
@@ -111,7 +120,7 @@ def main() -> int:
     rows, failures, console = [], 0, Console(stderr=True)
     for name, seed in worlds:
         config = DemoConfig(world=name, seed=int(seed or 1), **options)
-        if only_table and not row_file(out, config.world, config.seed).is_file():
+        if only_table and not row_file(out, config).is_file():
             continue
         try:
             rows.append(kept_or_new(config, out, console))

@@ -67,8 +67,8 @@ def test_a_series_goes_on_where_it_was_and_names_what_failed(
     rows = (tmp_path / "table.md").read_text().splitlines()
     kept = json.loads((tmp_path / "mars_1.json").read_text())
     assert rows[2] == (
-        "| mars 1 | done: enough / known | 12 | 7.2 m | 301 s | 96.1 % | 95.2 % "
+        "| rover | mars 1 | done: enough / known | 12 | 7.2 m | 301 s | 96.1 % | 95.2 % "
         f"| 68 / 95 / - % | 1.04 | 0 | {kept['software']} |"
     )
-    assert [row.split("|")[1].strip() for row in rows[2:]] == ["mars 1", "cave 3", "office 2"]
+    assert [row.split("|")[2].strip() for row in rows[2:]] == ["mars 1", "cave 3", "office 2"]
     assert version("infomap-ros") in kept["software"]

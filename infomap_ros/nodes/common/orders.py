@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any
 
-from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.exceptions import InvalidHandle
 from rclpy.node import Node
-from rclpy.task import Future
 from std_srvs.srv import Trigger
 
 from infomap_ros.errors import InfomapError
@@ -52,22 +52,26 @@ def offer_service(
         answer: given request and response, which it fills; an error of the library goes into the
             log, and the response out as it is by then.
     """
-    log = node.get_logger()
+    log, requests = node.get_logger(), dict[int, Any]()
 
-    async def serve(request: Any, response: Any) -> Any:
-        done: Future = Future(executor=node.executor)
+    def take(request: Any, response: Any) -> Any:
+        requests[id(response)] = request
+        return response
+
+    def send_when_answered(response: Any, header: Any) -> None:
+        request = requests.pop(id(response))
 
         def work() -> None:
             try:
                 answer(request, response)
             except InfomapError as error:
                 log.warning(f"{name}: {error}", throttle_duration_sec=5.0)
-            done.set_result(None)
-            node.executor.wake()
+            with suppress(InvalidHandle):  # the node has ended meanwhile
+                send(response, header)
 
         worker.submit_always(work)
-        await done
-        return response
 
-    # A callback that waits would keep all others of its group from being called.
-    node.create_service(service_type, name, serve, callback_group=ReentrantCallbackGroup())
+    # A callback that waits would keep the node from all others, and not every executor takes one
+    # that is a coroutine: the response goes out when the worker has filled it.
+    service = node.create_service(service_type, name, take)
+    send, service.send_response = service.send_response, send_when_answered

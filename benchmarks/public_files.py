@@ -1,0 +1,93 @@
+"""What becomes of robots and recordings that nobody here made, by the commands that users have.
+
+Each URDF of the folders is read by `infomap robot`, each bag (or folder of a bag) by `infomap map`.
+One JSON file each in the output folder, so that a series goes on where it was broken off; table.md
+says for each what came of it, and in which words.
+
+    python benchmarks/public_files.py FOLDER... --out out/public_files
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from rows import markdown_table, software
+
+from infomap_ros.geometry.atomic_file import write_json
+
+BAGS = {".mcap", ".bag", ".db3"}
+_TIMEOUT = 600.0  # [s]
+_LONGEST = 160  # characters of a reason
+
+
+def found_in(folders: list[Path]) -> Iterator[Path]:
+    """URDFs and bags; the folder of a bag of ROS 2 stands for its files."""
+    for folder in folders:
+        for path in sorted(folder.rglob("*")):
+            if path.suffix == ".urdf" or path.suffix in BAGS:
+                is_part = (path.parent / "metadata.yaml").is_file()
+                yield path.parent if is_part and path.suffix in BAGS else path
+
+
+def tried(path: Path, work: Path) -> dict[str, Any]:
+    """The figures of one file."""
+    command = ["robot", str(path), "--out", str(work / "robot.yaml"), "--overwrite"]
+    if path.suffix != ".urdf":
+        command = ["map", str(path), "--out", str(work / "map"), "--overwrite"]
+    begun = time.monotonic()
+    program = [sys.executable, "-m", "infomap_ros.cli", *command]
+    try:
+        run = subprocess.run(program, capture_output=True, text=True, timeout=_TIMEOUT, check=False)
+        status, said = run.returncode, run.stderr if run.returncode else run.stdout
+    except subprocess.TimeoutExpired:
+        status, said = -1, f"not done after {_TIMEOUT:.0f} s"
+    lines = [line.strip() for line in said.splitlines() if line.strip()]
+    return {
+        "software": software(),
+        "file": f"{path.parent.name}/{path.name}",
+        "status": status,
+        "crashed": "Traceback" in said,
+        "said": lines,
+        "seconds": time.monotonic() - begun,
+    }
+
+
+def _cells(row: dict[str, Any]) -> tuple[str, ...]:
+    guessed = [line.partition(":")[0] for line in row["said"] if line.startswith("robot.")]
+    result = "guessed: " + ", ".join(guessed) if guessed else "as it is"
+    if row["status"]:
+        text = " ".join(row["said"][-1:])
+        result = text[:_LONGEST] + ("…" if len(text) > _LONGEST else "")
+    return row["file"], "read" if not row["status"] else "refused", result, row["software"]
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("folders", nargs="+", type=Path)
+    parser.add_argument("--out", type=Path, default=Path("out/public_files"))
+    options = parser.parse_args()
+    options.out.mkdir(parents=True, exist_ok=True)
+    rows: list[dict[str, Any]] = []
+    for path in dict.fromkeys(found_in(options.folders)):
+        name = hashlib.sha256(str(path).encode()).hexdigest()[:16]
+        file = options.out / f"{name}.json"
+        if not file.is_file():
+            write_json(file, tried(path, options.out))
+        rows.append(json.loads(file.read_text(encoding="utf-8")))
+        print(f"{rows[-1]['file']}: {rows[-1]['status']}", file=sys.stderr)
+    table = markdown_table(("file", "result", "how", "version"), map(_cells, rows))
+    (options.out / "table.md").write_text(table, encoding="utf-8")
+    print(table, end="")
+    return 1 if any(row["crashed"] for row in rows) else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

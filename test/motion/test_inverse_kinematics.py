@@ -163,6 +163,16 @@ def test_a_target_out_of_reach_says_how_far_it_is():
     assert "out of reach: 3.00 m from joint 'arm_pan_joint', the arm extends 0.8" in result.reason
 
 
+def test_a_camera_fixed_on_the_base_is_said_to_have_no_arm():
+    joints = '<parent link="base"/><child link="camera"/><origin xyz="0 0 0.5"/>'
+    links = '<link name="base"/><link name="camera"/>'
+    text = f'<robot name="r">{links}<joint name="j" type="fixed">{joints}</joint></robot>'
+    robot = RobotModel.from_urdf(text, base_frame="base", camera_frame="camera")
+    result = solve_ik(robot, make_transform(np.eye(3), [2.0, 0.0, 0.5]))
+    assert not result.converged
+    assert result.reason == "no arm moves the camera, which is 2.00 m away"
+
+
 def test_what_is_said_to_be_out_of_reach_is(rng):
     """The farthest of many random camera positions is within the extent that is stated."""
     for make in ARMS.values():

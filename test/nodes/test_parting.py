@@ -10,7 +10,7 @@ import pytest
 
 HELD = """
 import ctypes
-from infomap_ros.nodes.common.parting import exit_within, part_soon
+from infomap_ros.nodes.common.interrupts import exit_within, part_soon
 {leave}
 print("saved", end="")
 ctypes.PyDLL(None).sleep({seconds})  # with the lock

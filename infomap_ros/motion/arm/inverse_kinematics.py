@@ -252,8 +252,10 @@ def why_not(
     arm = arm_of(chain)
     away = float(np.linalg.norm(T_base_camera[:3, 3] - arm.root))
     if away > arm.reach + goal.position_tolerance:
-        joint = f"joint '{chain.joint_names[0]}'" if len(chain) else "the base"
-        return f"out of reach: {away:.2f} m from {joint}, the arm extends {arm.reach:.2f} m"
+        if not len(chain):
+            return f"no arm moves the camera, which is {away:.2f} m away"
+        reach = f"joint '{chain.joint_names[0]}', the arm extends {arm.reach:.2f} m"
+        return f"out of reach: {away:.2f} m from {reach}"
     parts = []
     if errors[0] > goal.position_tolerance:
         parts.append(f"position off by {_length(errors[0])}")

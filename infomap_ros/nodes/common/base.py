@@ -42,11 +42,10 @@ from infomap_ros.errors import (
 from infomap_ros.geometry.config import all_parameters
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.health import Health
-from infomap_ros.nodes.common.interrupts import release_when_leaving
+from infomap_ros.nodes.common.interrupts import part_soon, release_when_leaving
 from infomap_ros.nodes.common.lockstep import LockstepConfig, LockstepReporter
 from infomap_ros.nodes.common.memory import heap_in_use
 from infomap_ros.nodes.common.parameters import changed_config, declare_config
-from infomap_ros.nodes.common.parting import part_soon
 from infomap_ros.nodes.common.worker import Worker
 from infomap_ros.nodes.team.team_radio import TeamRadioConfig, loses
 

@@ -10,9 +10,8 @@ from pathlib import Path
 from typing import TypeVar
 
 import rclpy
-from rclpy import Context
 from rclpy._rclpy_pybind11 import RCLError
-from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedExecutor
+from rclpy.executors import ExternalShutdownException
 from rclpy.logging import get_logger
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
@@ -23,10 +22,12 @@ from infomap_ros.errors import InfomapError
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.common.interrupts import Interrupts, leave_at_once
 
+# The usual executor asks all subscriptions, timers and services anew, in Python, for each message:
+# a millisecond and more, three times what this one takes (benchmarks/executors.py).
 try:
-    from rclpy.experimental import EventsExecutor
+    from rclpy.experimental import EventsExecutor as QuickExecutor
 except ImportError:  # before rclpy 7.1.4
-    EventsExecutor = None
+    from rclpy.executors import SingleThreadedExecutor as QuickExecutor
 
 NodeType = TypeVar("NodeType", bound=Node)
 
@@ -78,18 +79,9 @@ def run_node(
             os._exit(0)  # its job would go on in what the interpreter takes down
 
 
-def quick_executor(context: Context | None = None) -> Executor:
-    """An executor of one thread that is woken by what happens.
-
-    ROS's usual one asks every subscription, timer and service anew, in Python, for each message: a
-    millisecond and more of a core, five times what this one takes (`benchmarks/executors.py`).
-    """
-    return (EventsExecutor or SingleThreadedExecutor)(context=context)
-
-
 def _spin(node: Node, interrupts: Interrupts, end: Future | None) -> int:
     """Serve the node until it is to end; returns the exit status."""
-    executor = quick_executor()
+    executor = QuickExecutor()
     executor.add_node(node)
     if end is not None:
         end.add_done_callback(lambda _: executor.wake())

@@ -13,6 +13,7 @@ from typing import Any, Self
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import QoSProfile
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
@@ -20,7 +21,6 @@ from std_srvs.srv import Trigger
 from infomap_ros.errors import ProcessError
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.environment import process_environment
-from infomap_ros.nodes.common.run import quick_executor
 from infomap_ros.nodes.live.processes import NodeProcesses, private_graph
 from infomap_ros.nodes.live.run_state import RunState
 
@@ -57,7 +57,7 @@ class LiveGraph:
         os.environ.update(self._environment)  # the watcher must live in the same graph
         rclpy.init(context=self._context, domain_id=int(self._environment["ROS_DOMAIN_ID"]))
         self._node = rclpy.create_node("infomap_watcher", context=self._context)
-        self._executor = quick_executor(self._context)
+        self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
         self._node.create_subscription(
             DiagnosticArray, "/diagnostics", self._on_diagnostics, qos.stream(depth=50)

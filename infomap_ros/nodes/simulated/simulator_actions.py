@@ -9,7 +9,6 @@ from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
-from rclpy.task import Future
 
 from infomap_ros.errors import InfomapError
 from infomap_ros.messages.commands import decode_arm_trajectory, decode_base_path
@@ -47,14 +46,16 @@ class GoalServer:
     ) -> None:
         self._node, self._refuse, self._begin = node, refuse, begin
         self._replaced, self._name = replaced, name
-        self._current: tuple[ServerGoalHandle, Future] | None = None
-        # A goal that waits for its end must not keep others and cancellations from being served.
+        self._current: ServerGoalHandle | None = None
+        self._ends: dict[bytes, tuple[str, Any]] = {}
+        # It is executed when it has ended: rclpy's executor of events polls a callback that waits.
         self._server = ActionServer(
             node,
             action,
             name,
-            self._execute,
+            self._finish,
             goal_callback=self._on_goal,
+            handle_accepted_callback=self._on_accepted,
             cancel_callback=lambda _: CancelResponse.ACCEPT,
             callback_group=ReentrantCallbackGroup(),
         )
@@ -67,7 +68,7 @@ class GoalServer:
     @property
     def is_cancel_wanted(self) -> bool:
         """Whether the goal that is being carried out is to be canceled."""
-        return self._current is not None and bool(self._current[0].is_cancel_requested)
+        return self._current is not None and bool(self._current.is_cancel_requested)
 
     def end(self, state: str, result: Any) -> None:
         """End the goal that is being carried out; from any thread.
@@ -78,7 +79,8 @@ class GoalServer:
         """
         current, self._current = self._current, None
         if current is not None:
-            current[1].set_result((state, result))
+            self._ends[bytes(current.goal_id.uuid)] = state, result
+            current.execute()
             self._node.executor.wake()
 
     def destroy(self) -> None:
@@ -91,12 +93,13 @@ class GoalServer:
             self._node.get_logger().error(f"{self._name} refuses a goal: {refused}")
         return GoalResponse.REJECT if refused else GoalResponse.ACCEPT
 
-    async def _execute(self, handle: ServerGoalHandle) -> Any:
+    def _on_accepted(self, handle: ServerGoalHandle) -> None:
         self.end("aborted", self._replaced)
-        done: Future = Future(executor=self._node.executor)
-        self._current = (handle, done)
+        self._current = handle
         self._begin(handle.request)
-        state, result = await done
+
+    def _finish(self, handle: ServerGoalHandle) -> Any:
+        state, result = self._ends.pop(bytes(handle.goal_id.uuid))
         finish = {
             "succeeded": handle.succeed,
             "aborted": handle.abort,

@@ -7,7 +7,6 @@ from typing import Any
 
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
-from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
 
 from infomap_ros.errors import InfomapError
@@ -57,7 +56,6 @@ class GoalServer:
             goal_callback=self._on_goal,
             handle_accepted_callback=self._on_accepted,
             cancel_callback=lambda _: CancelResponse.ACCEPT,
-            callback_group=ReentrantCallbackGroup(),
         )
 
     @property
@@ -81,7 +79,6 @@ class GoalServer:
         if current is not None:
             self._ends[bytes(current.goal_id.uuid)] = state, result
             current.execute()
-            self._node.executor.wake()
 
     def destroy(self) -> None:
         """Offer the action no longer."""

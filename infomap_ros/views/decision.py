@@ -49,33 +49,6 @@ class Reachability(Protocol):
         """Plan the motion to one view, shape (4, 4)."""
 
 
-@dataclass(frozen=True)
-class Flight:
-    """The `ReachResult` of a camera that flies."""
-
-    reason: str = ""
-    travel: float = 0.0
-    route: object | None = None
-    partial: bool = False
-    seconds: float = float("nan")
-
-
-class FlyingCamera:
-    """A camera without a body: it reaches every view that the map allows, as in Figs. 10 to 12."""
-
-    def __init__(self, T_map_camera: FloatArray) -> None:
-        """Start at a pose, shape (4, 4)."""
-        self._position = np.array(T_map_camera[:3, 3])
-
-    def may_reach(self, poses: FloatArray) -> Sequence[str]:
-        """Nothing speaks against any view, shape (M, 4, 4)."""
-        return [""] * len(poses)
-
-    def reach(self, T_map_camera: FloatArray) -> Flight:
-        """Fly straight there, shape (4, 4)."""
-        return Flight(travel=float(np.linalg.norm(T_map_camera[:3, 3] - self._position)))
-
-
 @dataclass(frozen=True, eq=False)
 class RatedView:
     """A candidate with what is known of it.

@@ -193,3 +193,12 @@ def test_check_covariance_accepts_a_semidefinite_one(rng):
 def test_what_is_no_covariance_is_refused_by_name(covariance, named):
     with pytest.raises(InvalidInputError, match=named):
         check_covariance(covariance, 6)
+
+
+def test_a_single_quaternion_becomes_to_the_bit_what_scipy_makes_of_many(rng):
+    quaternions = rng.normal(size=(2000, 4))
+    quaternions *= rng.uniform(0.995, 1.005, (2000, 1)) / np.linalg.norm(
+        quaternions, axis=1, keepdims=True
+    )
+    matrices = [transform_from_quaternion(one, np.zeros(3))[:3, :3] for one in quaternions]
+    np.testing.assert_array_equal(matrices, Rotation.from_quat(quaternions).as_matrix())

@@ -71,7 +71,6 @@ def offer_service(
 
         worker.submit_always(work)
 
-    # A callback that waits would keep the node from all others, and not every executor takes one
-    # that is a coroutine: the response goes out when the worker has filled it.
+    # A callback must not wait, and not every executor takes one that is a coroutine.
     service = node.create_service(service_type, name, take)
     send, service.send_response = service.send_response, send_when_answered

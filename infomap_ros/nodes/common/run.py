@@ -22,8 +22,7 @@ from infomap_ros.errors import InfomapError
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.common.interrupts import Interrupts, leave_at_once
 
-# The usual executor asks all subscriptions, timers and services anew, in Python, for each message:
-# a millisecond and more, three times what this one takes (benchmarks/executors.py).
+# A third of the processor time that a message costs by the other one (benchmarks/executors.py).
 try:
     from rclpy.experimental import EventsExecutor as QuickExecutor
 except ImportError:  # before rclpy 7.1.4

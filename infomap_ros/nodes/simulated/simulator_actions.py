@@ -47,7 +47,6 @@ class GoalServer:
         self._replaced, self._name = replaced, name
         self._current: ServerGoalHandle | None = None
         self._ends: dict[bytes, tuple[str, Any]] = {}
-        # It is executed when it has ended: rclpy's executor of events polls a callback that waits.
         self._server = ActionServer(
             node,
             action,
@@ -75,7 +74,7 @@ class GoalServer:
             state: succeeded, aborted or canceled.
             result: the message.
         """
-        current, self._current = self._current, None
+        current, self._current = self._current, None  # executed now: some executors poll what waits
         if current is not None:
             self._ends[bytes(current.goal_id.uuid)] = state, result
             current.execute()

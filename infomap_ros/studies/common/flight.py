@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -12,10 +13,36 @@ from numpy.typing import NDArray
 
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import FREE, OccupancyThresholds, VoxelMap
-from infomap_ros.views.decision import Flight
 from infomap_ros.views.sampling.surroundings import cell_lengths
 
 NO_WAY = "no way through known free space"
+
+
+@dataclass(frozen=True)
+class Flight:
+    """The `ReachResult` of a camera that flies."""
+
+    reason: str = ""
+    travel: float = 0.0
+    route: object | None = None
+    partial: bool = False
+    seconds: float = float("nan")
+
+
+class FlyingCamera:
+    """A camera without a body: it reaches every view that the map allows, as in Figs. 10 to 12."""
+
+    def __init__(self, T_map_camera: FloatArray) -> None:
+        """Start at a pose, shape (4, 4)."""
+        self._position = np.array(T_map_camera[:3, 3])
+
+    def may_reach(self, poses: FloatArray) -> Sequence[str]:
+        """Nothing speaks against any view, shape (M, 4, 4)."""
+        return [""] * len(poses)
+
+    def reach(self, T_map_camera: FloatArray) -> Flight:
+        """Fly straight there, shape (4, 4)."""
+        return Flight(travel=float(np.linalg.norm(T_map_camera[:3, 3] - self._position)))
 
 
 class FreeFlight:

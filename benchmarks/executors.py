@@ -20,6 +20,7 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
 MESSAGES, TOPICS, TIMERS, SERVICES = 1000, 14, 6, 4
+PAUSE = 0.003  # [s] from one message to the next
 
 
 def cost(executor: Executor, name: str) -> float:
@@ -35,19 +36,18 @@ def cost(executor: Executor, name: str) -> float:
     executor.add_node(node)
     publishers = [node.create_publisher(JointState, f"{name}/t{topic}", 10) for topic in (0, 1)]
     begun: list[float] = []
-    sent = threading.Event()
 
     def send() -> None:
-        time.sleep(2.0)  # until they have found each other
+        while not all(publisher.get_subscription_count() for publisher in publishers):
+            time.sleep(PAUSE)
         begun.append(time.process_time())
         for number in range(MESSAGES):
             publishers[number % 2].publish(JointState(name=["joint"] * 8, position=[0.0] * 8))
-            time.sleep(0.003)
-        time.sleep(0.5)
-        sent.set()
+            time.sleep(PAUSE)
 
-    threading.Thread(target=send, daemon=True).start()
-    while not sent.is_set():
+    sender = threading.Thread(target=send, daemon=True)
+    sender.start()
+    while sender.is_alive():
         executor.spin_once(timeout_sec=0.1)
     return (time.process_time() - begun[0]) / max(len(received), 1)
 

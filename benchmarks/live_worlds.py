@@ -81,7 +81,7 @@ def _cells(row: dict[str, Any]) -> tuple[str, ...]:
     reason = row["end"] + (f": {row['detail']}" if row["detail"] else "")
     nees = "-" if row["pose_nees"] is None else f"{row['pose_nees']:.2f}"
     return (
-        row.get("robot") or "rover",
+        row["robot"] or "rover",
         f"{row['world']} {row['seed']}",
         reason,
         f"{row['views']:.0f}",

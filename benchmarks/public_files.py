@@ -32,9 +32,10 @@ def found_in(folders: list[Path]) -> Iterator[Path]:
     """URDFs and bags; the folder of a bag of ROS 2 stands for its files."""
     for folder in folders:
         for path in sorted(folder.rglob("*")):
-            if path.suffix == ".urdf" or path.suffix in BAGS:
-                is_part = (path.parent / "metadata.yaml").is_file()
-                yield path.parent if is_part and path.suffix in BAGS else path
+            if path.suffix == ".urdf":
+                yield path
+            elif path.suffix in BAGS:
+                yield path.parent if (path.parent / "metadata.yaml").is_file() else path
 
 
 def tried(path: Path, work: Path) -> dict[str, Any]:

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from infomap_ros.errors import ConfigError, InvalidInputError
-from infomap_ros.views.decision import Flight, RatedView, why_this
+from infomap_ros.studies.common.flight import Flight
+from infomap_ros.views.decision import RatedView, why_this
 from infomap_ros.views.ranking.look_ahead import LookAhead, LookAheadConfig
 from infomap_ros.views.ranking.rating import Cost, Rating, RatingConfig
 from infomap_ros.views.ranking.terms import Duration

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 
 from infomap_ros.errors import BagError
 from infomap_ros.geometry import CameraCalibration, CameraInfoRecord, ImageRecord
 from infomap_ros.pipeline.range_estimator import DepthRangeEstimator, StereoRangeEstimator
-from infomap_ros.replay.bags import reader as reader_module
 from infomap_ros.replay.bags.image_choice import ImageInputConfig, find_images
 from infomap_ros.replay.bags.reader import BagReader
 from infomap_ros.replay.bags.source import Channel, typestore_of
@@ -98,15 +98,26 @@ def test_a_definition_that_cannot_be_read_spoils_no_other() -> None:
     assert "a/srv/Add_Event" not in known
 
 
-def test_messages_that_the_index_does_not_give_are_read_without_it(
-    tmp_path: Path, monkeypatch
+@pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
+def test_what_metadata_states_otherwise_of_one_topic_hides_no_message(
+    tmp_path: Path, storage: str
 ) -> None:
-    """As where QoS in metadata.yaml and in the file differ: rosbags then gives none."""
-    with BagWriter(tmp_path / "bag") as writer:
-        write_camera(writer, "/left/image_rect", "mono8")
-    monkeypatch.setattr(reader_module.RosbagsSource, "messages", lambda _self, _topics: iter(()))
+    """As where somebody has edited the QoS in metadata.yaml; the other topics are as they were."""
+    topics = "/left/image_rect", "/right/image_rect"
+    with BagWriter(tmp_path / "bag", storage=storage) as writer:
+        for topic in topics:
+            write_camera(writer, topic, "mono8")
+    forever = {"sec": 9223372036, "nsec": 854775807}
+    qos = {"history": 1, "depth": 7, "reliability": 2, "durability": 2, "liveliness": 1}
+    qos |= {"deadline": forever, "lifespan": forever, "liveliness_lease_duration": forever}
+    qos["avoid_ros_namespace_conventions"] = False
+    metadata = tmp_path / "bag" / "metadata.yaml"
+    content = yaml.safe_load(metadata.read_text("utf-8"))
+    entries = content["rosbag2_bagfile_information"]["topics_with_message_count"]
+    edited = next(e["topic_metadata"] for e in entries if e["topic_metadata"]["name"] == topics[0])
+    edited["offered_qos_profiles"] = [qos]
+    metadata.write_text(yaml.safe_dump(content), "utf-8")
     with BagReader(tmp_path / "bag") as bag:
-        records = list(bag.records(["/left/image_rect"]))
-        assert bag.problems == ["bag promises 1 messages and gives 0"]
-    assert len(records) == 1
-    assert isinstance(records[0].record, ImageRecord)
+        found = [record.topic for record in bag.records(topics)]
+        assert bag.problems == []
+    assert sorted(found) == sorted(topics)

@@ -240,8 +240,6 @@ class BagReader:
         if count < promised:
             found = f"{self.path.name} promises {promised} messages and gives {count}"
             self.problems += [] if found in self.problems else [found]
-            if count == 0:  # by its index; there may be more without it
-                yield from self._rest(wanted, last, at_last)
 
     def _rest(
         self, wanted: Collection[str], last: int, at_last: int

@@ -126,6 +126,7 @@ class RosbagsSource:
         store = get_typestore(Stores.ROS2_JAZZY)
         self._reader = AnyReader([path], default_typestore=store)
         self._reader.open()
+        _match_by_topic(self._reader)
         self.is_ros1 = not self._reader.is2
         self.start, self.end = self._reader.start_time, self._reader.end_time - 1
         self.problems: list[str] = []
@@ -145,6 +146,21 @@ class RosbagsSource:
     def close(self) -> None:
         """See `BagSource.close`."""
         self._reader.close()
+
+
+def _match_by_topic(reader: AnyReader) -> None:
+    """Let what metadata.yaml states of a topic hold for the files too, for example its QoS.
+
+    Where the two differ in anything, rosbags gives no message of that topic and no error.
+    """
+    for part in reader.readers:
+        for storage in getattr(getattr(part, "storage", None), "storages", ()):
+            for index, own in enumerate(storage.connections):
+                stated = [c for c in part.connections if c.topic == own.topic]
+                said = min(stated, key=lambda c: c.msgtype != own.msgtype, default=own)
+                storage.connections[index] = own._replace(
+                    msgtype=said.msgtype, ext=said.ext, digest=said.digest
+                )
 
 
 def _channel(connection: Connection) -> Channel:

@@ -13,15 +13,19 @@ __version__ = "0.1.0"
 
 _use_kernel_cache(_Path(__file__).resolve().parent)
 
-_PLACES = {
-    "VoxelMap": "infomap_ros.mapping",
-    "localize_bag": "infomap_ros.replay.mapped_bag",
-    "map_bag": "infomap_ros.replay.mapped_bag",
-}
-"""Where the names are that are loaded when they are asked for: they take seconds."""
+
+def names_on_demand(package: str, places: dict[str, str]) -> _Any:
+    """The ``__getattr__`` of a package whose names, each in a module, take seconds to load."""
+
+    def load(name: str) -> _Any:
+        if name not in places:
+            raise AttributeError(f"module {package!r} has no attribute {name!r}")
+        return getattr(_import_module(f"{package}.{places[name]}"), name)
+
+    return load
 
 
-def __getattr__(name: str) -> _Any:
-    if name not in _PLACES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(_import_module(_PLACES[name]), name)
+_MAPPED = "replay.mapped_bag"
+__getattr__ = names_on_demand(
+    __name__, {"VoxelMap": "mapping", "localize_bag": _MAPPED, "map_bag": _MAPPED}
+)

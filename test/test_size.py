@@ -76,13 +76,13 @@ MOST_LINES = {
     "stereo_range": 9_250,
     "map_fusion": 30_300,
     "bag_player": 8_950,
-    "simulator": 28_800,
+    "simulator": 28_810,
     "next_best_view": 45_500,
     "explorer": 40_900,
     "fiducial_localization": 39_150,
     "dead_reckoning": 11_700,
     "robot_driver": 13_200,
-    "web_viewer": 31_450,
+    "web_viewer": 31_455,
 }
 """Of what importing a node's module imports; to be lowered with each of them."""
 

@@ -76,7 +76,7 @@ MOST_LINES = {
     "stereo_range": 9_250,
     "map_fusion": 30_300,
     "bag_player": 8_950,
-    "simulator": 28_810,
+    "simulator": 27_550,
     "next_best_view": 45_500,
     "explorer": 40_900,
     "fiducial_localization": 39_150,

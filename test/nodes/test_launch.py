@@ -216,14 +216,16 @@ def test_a_robot_that_there_is_not_is_named(exploration: ModuleType) -> None:
         nodes_of(exploration, robot="tigo")
 
 
-@pytest.mark.parametrize("name", ["tiago", "ur5_on_base"])
+READY = sorted(path.stem for path in find_share("config/robots").glob("*.yaml"))
+
+
+@pytest.mark.parametrize("name", READY)
 def test_the_robot_files_hold_parameters_that_nodes_accept(name: str) -> None:
     path = find_share(f"config/robots/{name}.yaml")
     text = path.read_text("utf-8")
     told = {key: each["ros__parameters"] for key, each in yaml.safe_load(text).items()}
-    config = build_config(
-        RobotDriverConfig, {k: _plain(v) for k, v in told["/**/robot_driver"].items()}
-    )
+    driver = {"controllers": told["/**"]["controllers"]} | told.get("/**/robot_driver", {})
+    config = build_config(RobotDriverConfig, {k: _plain(v) for k, v in driver.items()})
     joints = {joint for each in read_controllers(config.controllers).values() for joint in each}
     assert set(told["/**"]["arm_joints"]) == joints
     assert set(told["/**"]) <= set(node_parameters(NODES["next_best_view"])) | PARAMETERS

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import os
+import sys
+import sysconfig
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from infomap_ros.errors import RobotModelError
+from infomap_ros.errors import ResourceError, RobotModelError
 from infomap_ros.geometry import TransformRecord, make_transform, quaternion_from_transform
+from infomap_ros.geometry.resources import find_share
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.simulation.body.mended_inertias import mend_inertias
 from infomap_ros.simulation.body.robot_meshes import prepare_meshes, with_absolute_meshes
@@ -20,6 +24,45 @@ import mujoco  # isort: skip  # after the backend has been chosen
 
 LEFT_OPTICAL_FRAME = "left_camera_optical_frame"
 RIGHT_OPTICAL_FRAME = "right_camera_optical_frame"
+
+
+def find_description(place: str, folder: Path | None = None) -> Path:
+    """Find a URDF by a path or a ``package://`` address.
+
+    Paths are looked for beside the file that names them, in the current folder, and below the
+    share folder of this package. Packages are those of ROS_PACKAGE_PATH and AMENT_PREFIX_PATH,
+    and Python packages that are installed.
+
+    Args:
+        place: path or address.
+        folder: of the file that names it.
+
+    Raises:
+        ResourceError: it is nowhere; names the places.
+    """
+    scheme = "package://"
+    if place.startswith(scheme):
+        inside = place.removeprefix(scheme)
+        places = [root / inside for root in _package_roots()]
+    else:
+        places = [one / place for one in (folder, Path()) if one is not None]
+    for one in places:
+        if one.is_file():
+            return one.resolve()
+    if not place.startswith(scheme):
+        return find_share(place)
+    package = place.removeprefix(scheme).partition("/")[0]
+    raise ResourceError(f"{place} is nowhere: install the package {package}, of ROS or of Python")
+
+
+def _package_roots() -> Iterator[Path]:
+    """Folders that hold packages by their names."""
+    yield from map(Path, filter(None, os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep)))
+    for prefix in filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)):
+        yield Path(prefix) / "share"
+    for site in dict.fromkeys([sysconfig.get_path("purelib"), *sys.path]):
+        yield Path(site) / "cmeel.prefix" / "share"
+        yield Path(site)
 
 
 def read_description(path: Path, baseline: float | None = None) -> str:

@@ -6,10 +6,7 @@ what it knows of it.
 
 from __future__ import annotations
 
-import os
-import sys
-import sysconfig
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from difflib import get_close_matches
 from pathlib import Path
@@ -22,6 +19,7 @@ from infomap_ros.geometry.config import build_config
 from infomap_ros.geometry.resources import find_share
 from infomap_ros.motion.base.vehicle import VehicleConfig
 from infomap_ros.simulation.body.drive_train import DriveTrainConfig
+from infomap_ros.simulation.body.robot import find_description
 from infomap_ros.simulation.body.robot_setup import RobotSetupConfig
 from infomap_ros.simulation.robots.robot_parameters import OTHERS, PARAMETERS, SECTIONS, SETUP
 
@@ -42,6 +40,7 @@ _MEANINGS = {
     "reaching.vehicle.ground_height": "in the base frame [m]",
     "reaching.vehicle.max_step": "three quarters of the radius of its smallest wheel [m]",
     "reaching.collision.ground_links": "the ground is no obstacle to these",
+    "controllers": "of ros2_control, each with its joints",
 }
 
 
@@ -60,6 +59,8 @@ class RobotFile:
             the wheels. With `ground_height` and `max_step`, see `VehicleConfig`.
         ground_height: of level ground in the base frame, for a footprint [m].
         max_step: highest step [m]; 0 for the one by the wheels.
+        arm: how robot_driver moves the arm; empty for its default, ``none`` where there is none.
+        controllers: that move the real arm, ``name: joint joint``, for robot_driver.
         reasons: why a parameter has its value, by name; written as comments.
         folder: of the file, where a relative description is looked for first.
 
@@ -76,6 +77,8 @@ class RobotFile:
     footprint: tuple[float, ...] = ()
     ground_height: float = 0.0
     max_step: float = 0.0
+    arm: str = ""
+    controllers: tuple[str, ...] = ()
     reasons: Mapping[str, str] = field(default_factory=dict)
     folder: Path | None = None
 
@@ -104,6 +107,8 @@ class RobotFile:
             "reaching.vehicle.max_step": self.max_step,
             "reaching.collision.ground_links": self.ground_links,
             "robot.assumed_joints": self.assumed_joints,
+            "arm": self.arm,
+            "controllers": self.controllers,
         }
         return values | {name: value for name, value in others.items() if value}
 
@@ -184,6 +189,8 @@ class RobotFile:
                 _number(kept.get("reaching.vehicle.footprint", ())),
                 float(values.get("reaching.vehicle.ground_height", 0.0)),
                 float(values.get("reaching.vehicle.max_step", 0.0)),
+                str(kept.get("arm", "")),
+                tuple(kept.get("controllers", ())),
                 folder=path.parent,
             )
         except (ConfigError, TypeError, ValueError) as error:
@@ -192,45 +199,6 @@ class RobotFile:
                 option = f"--robot {path.name}: {name or error.parameter}"
                 raise ConfigError(option, error.value, error.expected) from error
             raise ConfigError(f"--robot {path.name}", str(error), "numbers and names") from error
-
-
-def find_description(place: str, folder: Path | None = None) -> Path:
-    """Find a URDF by a path or a ``package://`` address.
-
-    Paths are looked for beside the file that names them, in the current folder, and below the
-    share folder of this package. Packages are those of ROS_PACKAGE_PATH and AMENT_PREFIX_PATH,
-    and Python packages that are installed.
-
-    Args:
-        place: path or address.
-        folder: of the file that names it.
-
-    Raises:
-        ResourceError: it is nowhere; names the places.
-    """
-    scheme = "package://"
-    if place.startswith(scheme):
-        inside = place.removeprefix(scheme)
-        places = [root / inside for root in _package_roots()]
-    else:
-        places = [one / place for one in (folder, Path()) if one is not None]
-    for one in places:
-        if one.is_file():
-            return one.resolve()
-    if not place.startswith(scheme):
-        return find_share(place)
-    package = place.removeprefix(scheme).partition("/")[0]
-    raise ResourceError(f"{place} is nowhere: install the package {package}, of ROS or of Python")
-
-
-def _package_roots() -> Iterator[Path]:
-    """Folders that hold packages by their names."""
-    yield from map(Path, filter(None, os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep)))
-    for prefix in filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)):
-        yield Path(prefix) / "share"
-    for site in dict.fromkeys([sysconfig.get_path("purelib"), *sys.path]):
-        yield Path(site) / "cmeel.prefix" / "share"
-        yield Path(site)
 
 
 def _refuse_unknown(names: Iterable[str], file: str) -> None:

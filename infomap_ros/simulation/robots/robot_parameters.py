@@ -25,5 +25,6 @@ OTHERS = {
     "reaching.collision.ground_links": "planner.reaching.collision.ground_links",
 }
 """Setting of ``infomap explore`` by the parameter, of those that are not of the setup."""
-PARAMETERS = frozenset({*SETUP, *OTHERS, "robot.assumed_joints", "robot.mesh_folders"})
+_OF_NODES = ("robot.assumed_joints", "robot.mesh_folders", "controllers", "arm")
+PARAMETERS = frozenset({*SETUP, *OTHERS, *_OF_NODES})
 """All of them. A node leaves those alone that it does not have."""

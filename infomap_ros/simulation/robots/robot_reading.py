@@ -25,7 +25,7 @@ from infomap_ros.simulation.body.extended_description import (
     extended_description,
     root_link,
 )
-from infomap_ros.simulation.body.robot import read_description
+from infomap_ros.simulation.body.robot import find_description, read_description
 from infomap_ros.simulation.body.robot_setup import RobotSetupConfig
 from infomap_ros.simulation.robots.camera_parts import (
     LEAST_BASELINE,
@@ -38,7 +38,7 @@ from infomap_ros.simulation.robots.camera_parts import (
 )
 from infomap_ros.simulation.robots.home_posture import home_posture
 from infomap_ros.simulation.robots.ready_robot import initial_positions, mended_parts
-from infomap_ros.simulation.robots.robot_file import RobotFile, find_description
+from infomap_ros.simulation.robots.robot_file import RobotFile
 from infomap_ros.simulation.robots.trial_drive import TrialDrive, try_drive
 from infomap_ros.simulation.robots.tucked_arms import tucked_arms
 from infomap_ros.simulation.robots.wheel_parts import WheelParts, find_wheels, link_extents
@@ -107,6 +107,7 @@ class _Reading:
         self._setup = RobotSetupConfig(base_frame=root_link(self._tree))
         self._gain, self._stands = 0.0, True
         self._resting: tuple[str, ...] = ()
+        self._driver: tuple[str, tuple[str, ...]] = ("none", ())
 
     def result(self, place: str) -> RobotReading:
         bare = RobotModel.from_urdf(self._text, base_frame=self._setup.base_frame)
@@ -130,6 +131,7 @@ class _Reading:
             _patterns((*wheels, *self._setup.hovering), CollisionConfig().ground_links, robot),
             () if self._setup.cart else self._setup.wheels,
             *self._footprint(robot, wheels),
+            *self._driver,
             self._reasons,
         )
         found = (tuple(self._said), tuple(self._guesses), tuple(self._warnings))
@@ -307,6 +309,9 @@ class _Reading:
             return
         self._said.append(f"arm_joints: {', '.join(names)}, all between base and camera")
         self._setup = replace(self._setup, arm_joints=names)
+        self._driver = ("", (f"arm_controller: {' '.join(names)}",))
+        text = "one for the whole arm; ros2 control list_controllers -v says what there is"
+        self._guess("controllers", text, "ros2 control list_controllers -v")
         start = initial_positions(self._tree)
         if start.keys() & set(names):
             known = tuple(start.get(name, 0.0) for name in names)

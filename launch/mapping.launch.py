@@ -59,7 +59,7 @@ def _player(bag: str, given: dict[str, str], robot: RobotLaunch) -> dict:
         "loop": given["loop"] == "true",
         "acknowledged": given["acknowledged"] == "true",
         "paced_topic": f"/{image}",
-        "wait_for_subscribers": [*[image] * watching, "camera_pose"],
+        "wait_for_subscribers": [*[image] * watching, "points2", "camera_pose"],
         "wait_for_publishers": ["camera_pose"] if located else [],
         "left_out": ["/camera_pose"] if located else [],
         "use_sim_time": False,

@@ -257,7 +257,7 @@ class ExplorerNode(MonitoredNode):
         )
         self._thread = threading.Thread(target=self._explore, name="exploration", daemon=True)
         self._thread.start()
-        return f"going on after {mission.views} views" if goes_on else "exploration begins"
+        return f"going on after {mission.views} views" if goes_on else "starting"
 
     def _awareness(self) -> Awareness:
         """Teammates are in the map: who still looks for its target does not know where they are."""
@@ -282,6 +282,7 @@ class ExplorerNode(MonitoredNode):
         ending = self._find_target(exploration)
         if ending is None:
             self._write_start()
+            self.get_logger().info("exploration begins")
             ending = exploration.run()
         else:
             exploration.end(ending)

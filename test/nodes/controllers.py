@@ -155,12 +155,15 @@ class TrajectoryController:
 class PathController:
     """Nav2's FollowPath or NavigateThroughPoses: moves a base on paper at 2 m/s.
 
-    It accepts any goal, fails on an empty path, succeeds when its goal checker (0.25 m, 0.25 rad)
-    does, and drops a goal for a new one. It does not turn within a path: at the end alone.
+    It accepts any goal, fails on an empty path and on plugins that it does not have, succeeds when
+    its goal checker (0.25 m, 0.25 rad) does, and drops a goal for a new one. It turns at the end of
+    a path alone. A name that is left empty is that of its only plugin.
 
     Args:
         graph: in which it is.
         follows: whether it is FollowPath.
+        controllers: its plugins.
+        checkers: its goal checkers.
 
     Attributes:
         base: x, y [m], yaw [rad].
@@ -171,7 +174,15 @@ class PathController:
 
     SPEED = 2.0  # [m/s]
 
-    def __init__(self, graph: Any, follows: bool = True) -> None:
+    def __init__(
+        self,
+        graph: Any,
+        follows: bool = True,
+        controllers: tuple[str, ...] = ("FollowPath",),
+        checkers: tuple[str, ...] = ("general_goal_checker",),
+    ) -> None:
+        self.controllers, self.checkers = controllers, checkers
+        self._unknown: tuple[int, str] | None = None
         self.base, self.blocked = np.zeros(3), False
         self.goals: list[np.ndarray] = []
         self.requests: list[Any] = []
@@ -186,6 +197,7 @@ class PathController:
 
     def _on_goal(self, goal: Any) -> None:
         self.requests.append(goal)
+        self._unknown = self._why_unknown(goal) if self._follows else None
         if self._follows:
             self._left = decode_base_path(goal.path).poses
         else:
@@ -195,12 +207,25 @@ class PathController:
             self._left = np.array(poses).reshape(-1, 3)
         self.goals.append(self._left)
 
+    def _why_unknown(self, goal: Any) -> tuple[int, str] | None:
+        """As in `ControllerServer::computeControl` of navigation2."""
+        for name, own, code, what in (
+            (goal.controller_id, self.controllers, 101, "controller"),
+            (goal.goal_checker_id, self.checkers, 100, "goal checker"),
+        ):
+            if name not in own and (name or len(own) != 1):
+                return code, f"Failed to find {what} name: {name}"
+        return None
+
     def _move(self) -> None:
         if not self.server.is_active:
             return
         if self.server.is_cancel_wanted:
             self.canceled += 1
             self.server.end("canceled", self.result())
+        elif self._unknown is not None:
+            code, words = self._unknown
+            self.server.end("aborted", self.result(error_code=code, error_msg=words))
         elif not len(self._left):
             self.server.end("aborted", self.result(error_code=103, error_msg="Path is empty."))
         elif self.blocked:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -331,7 +332,9 @@ def test_an_explorer_that_waits_for_a_robot_has_ended_when_it_is_gone(
     )
     said = graph.collect(DiagnosticStatus, "exploration_status", LATCHED)
     graph.spin_until(lambda: bool(said), "the exploration")
+    begin = time.monotonic()
     node.destroy_node()
+    assert time.monotonic() - begin < 1.0
     assert [json.loads(line)["reason"] for line in log.read_text().splitlines()] == ["stopped"]
 
 

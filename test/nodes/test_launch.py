@@ -305,7 +305,8 @@ def test_the_player_waits_for_all_nodes(
 ) -> None:
     nodes = nodes_of(launch_file, bag="bags/rover_rocks", **given)
 
-    assert settings_of(nodes["bag_player"])["wait_for_subscribers"] == [*images, "camera_pose"]
+    wanted = settings_of(nodes["bag_player"])["wait_for_subscribers"]
+    assert wanted == [*images, "points2", "camera_pose"]
 
 
 @pytest.mark.parametrize("name", ["mapping", "robot"])

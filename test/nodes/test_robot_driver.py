@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from importlib.util import find_spec
 from typing import Any
 
@@ -10,7 +11,7 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import Twist, TwistStamped
 from nav_msgs.msg import Path
-from rclpy.action import ActionClient
+from rclpy.action import ActionClient, CancelResponse
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
@@ -21,6 +22,7 @@ from infomap_ros.messages.motions import encode_arm_trajectory, encode_base_path
 from infomap_ros.motion.route import ArmPath
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.message_types import RclpyMessageTypes
+from infomap_ros.nodes.driving import arm_driver
 from infomap_ros.nodes.driving.action_types import FOLLOW_JOINT_TRAJECTORY, action_class
 from infomap_ros.nodes.driving.motion_result import MotionResult, Outcome, read_motion_result
 from infomap_ros.nodes.robot_driver import RobotDriverNode
@@ -179,6 +181,30 @@ def test_a_refused_goal_stops_what_runs(graph: Any) -> None:
 
 
 @NEEDS_ACTIONS
+def test_a_controller_that_refuses_to_stop_is_said_at_once(graph: Any) -> None:
+    bench = ArmBench(graph)
+    bench.arm.server._server.register_cancel_callback(lambda _: CancelResponse.REJECT)
+    bench.move(("arm_pan_joint",), [1.0], 20.0, "long")
+    graph.spin_until(lambda: bench.arm.moves, "motion")
+    begin = time.monotonic()
+    bench.trajectories.publish(JointTrajectory())
+    result = bench.result("long")
+    assert "refuses to stop, the robot may still move" in result.reason
+    assert time.monotonic() - begin < 2.5  # half of what is waited for an answer
+
+
+@NEEDS_ACTIONS
+def test_a_goal_without_a_result_is_stopped(graph: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(arm_driver, "_SLACK", 0.3)
+    bench = ArmBench(graph, goal_time=0.2)
+    bench.arm.slower = 1e6
+    bench.move(("arm_pan_joint",), [0.3], 0.3, "endless")
+    result = bench.result("endless")
+    assert result.outcome is Outcome.FAILED and "no result within" in result.reason
+    graph.spin_until(lambda: bench.arm.canceled == 1, "the stop")
+
+
+@NEEDS_ACTIONS
 def test_joints_that_the_table_lacks_are_refused(graph: Any) -> None:
     bench = ArmBench(graph, controllers=["arm_controller: arm_pan_joint"])
     bench.move(("arm_pan_joint",), [0.5], 0.3, "partial")
@@ -245,6 +271,7 @@ class Nav2Bench(Bench):
 @NEEDS_ACTIONS
 def test_a_path_is_given_in_pieces_between_turns_on_the_spot(graph: Any) -> None:
     bench = Nav2Bench(graph, controller_id="FollowPath", goal_checker_id="precise")
+    bench.nav2.checkers = ("general_goal_checker", "precise")
     sent = bench.drive((0, 0, 0), (1, 0, 0), (1, 0, 1.5), (1, 1, 1.5))
     assert bench.result(sent).outcome is Outcome.SUCCEEDED
     assert [len(goal) for goal in bench.nav2.goals] == [2, 2]
@@ -254,6 +281,26 @@ def test_a_path_is_given_in_pieces_between_turns_on_the_spot(graph: Any) -> None
     assert (first.controller_id, first.goal_checker_id) == ("FollowPath", "precise")
     assert first.path.header.frame_id == "map"
     assert first.path.header.stamp.sec == first.path.header.stamp.nanosec == 0
+
+
+@NEEDS_ACTIONS
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [
+        (
+            {"controller_id": "Mine"},
+            "INVALID_CONTROLLER (101): Failed to find controller name: Mine",
+        ),
+        ({"goal_checker_id": "mine"}, "UNKNOWN (100): Failed to find goal checker name: mine"),
+    ],
+)
+def test_a_plugin_that_nav2_does_not_have_is_quoted(
+    graph: Any, given: dict[str, str], told: str
+) -> None:
+    bench = Nav2Bench(graph, **given)
+    result = bench.result(bench.drive((0, 0, 0), (1, 0, 0)))
+    assert result.outcome is Outcome.FAILED
+    assert f"aborted, {told}" in result.reason
 
 
 @NEEDS_ACTIONS

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Any
 
 from action_msgs.msg import GoalStatus
-from action_msgs.srv import CancelGoal
 from rclpy.action import ActionClient
 from rclpy.clock import Clock
 
@@ -89,7 +88,9 @@ class ActionGoal:
         handle.cancel_goal_async().add_done_callback(self._on_cancel_answer)
 
     def _on_cancel_answer(self, future: Any) -> None:
-        if future.result().return_code == CancelGoal.Response.ERROR_REJECTED:
+        answer = future.result()
+        none = answer.return_code == answer.ERROR_NONE and not answer.goals_canceling  # by rclpy
+        if none or answer.return_code == answer.ERROR_REJECTED:
             self._lose("refuses to stop")
 
     def check(self) -> None:

@@ -46,7 +46,7 @@ class Ending:
     detail: str
 
 
-STOPPED = Ending(EndReason.STOPPED, "asked to")
+STOPPED = Ending(EndReason.STOPPED, "by the user")
 """The user has ended it."""
 
 

@@ -13,7 +13,7 @@ from PIL import Image
 
 from infomap_ros import cli
 from infomap_ros.errors import ConfigError, InvalidInputError
-from infomap_ros.localization.target.tag_board import TagBoard, TagBoardConfig, dictionary
+from infomap_ros.localization.target.tag_board import FAMILIES, TagBoard, TagBoardConfig, dictionary
 from infomap_ros.localization.target.tag_drawing import draw_board, save_board
 
 
@@ -140,3 +140,8 @@ def test_the_command_draws_a_board_and_names_its_settings(
     image = cv2.imread(summary["file"], cv2.IMREAD_GRAYSCALE)
     assert set(read_by_opencv(image, "tag36h11")) == set(range(6))
     np.testing.assert_allclose([summary["width"], summary["height"]], [0.32, 0.46])
+
+
+def test_all_families_of_opencv_are_known() -> None:
+    theirs = {name.upper() for name in dir(cv2.aruco) if name.startswith("DICT_")}
+    assert theirs == set(FAMILIES.values())

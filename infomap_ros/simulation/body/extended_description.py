@@ -63,7 +63,9 @@ def root_link(tree: ElementTree.Element) -> str:
     roots = [link.get("name", "") for link in tree.findall("link")]
     root = next((name for name in roots if name not in parents), None)
     if root is None:
-        raise RobotModelError("robot description: no link is the root")
+        undeclared = sorted({_end(j, "parent") for j in tree.findall("joint")} - set(roots))
+        why = f"'{undeclared[0]}' is none" if undeclared else "joints form a loop, or there is none"
+        raise RobotModelError(f"robot description: no link is the root: {why}")
     below = [joint for joint in tree.findall("joint") if _end(joint, "parent") == root]
     if root in _NOT_LINKS and len(below) == 1 and below[0].get("type") == "fixed":
         return _end(below[0], "child")

@@ -80,9 +80,14 @@ def _title(reading: RobotReading) -> str:
     setup = reading.file.setup
     wheels, joints = len(setup.wheels), len(setup.arm_joints)
     return (
-        f"{reading.robot.name}: {wheels} driven wheels, {len(setup.casters)} casters, "
-        f"camera {f'on {joints} joints' if joints else 'fixed on the base'}"
+        f"{reading.robot.name}: {_many(wheels, 'driven wheel')}, "
+        f"{_many(len(setup.casters), 'caster')}, "
+        f"camera {'on ' + _many(joints, 'joint') if joints else 'fixed on the base'}"
     )
+
+
+def _many(count: int, what: str) -> str:
+    return f"{count} {what}" if count == 1 else f"{count} {what}s"
 
 
 def _draw_projections(axes: NDArray[np.object_], reading: RobotReading) -> None:

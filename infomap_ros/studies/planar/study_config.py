@@ -18,7 +18,9 @@ class DrawnWorldsConfig:
     """
 
     kinds: tuple[str, ...] = parameter(("clutter", "rooms", "caves"), "Kinds of drawn worlds.")
-    worlds: int = parameter(10, "Drawn worlds of each kind.", low=0, high=1000)
+    worlds: int = parameter(
+        10, "Drawn worlds of each kind; 0: the paper's alone.", low=0, high=1000
+    )
     seed: int = parameter(0, "Of the first world of each kind.", low=0)
     cell: float = parameter(
         1.0, "Edge of a cell of the worlds and of a voxel of the maps.", unit="m", low=0.1, high=5.0

@@ -40,7 +40,7 @@ function showStep(n, arrays) {
 
 // Where the marked voxels are, and how far from each other.
 function showMarked(marked) {
-  if (!marked.length) return byId("marked").replaceChildren(element("p", "A click on the map tells where it is, a second one how far that is."));
+  if (!marked.length) return byId("marked").replaceChildren(element("p", "Click the map: coordinates. Click again: distance."));
   const values = {};
   if (marked.length === 2) {
     const [dx, dy, dz] = add(marked[1].at, marked[0].at, -1);
@@ -73,7 +73,7 @@ function tipText(found) {
     return rejection ? `candidate ${n}, rejected: ${rejection}` : `candidate ${n}, rating ${number(rating)}`;
   }
   const step = steps[found.step];
-  const terms = Object.entries(step.terms).map(([name, value]) => `${words(name)} ${number(value)}`);
+  const terms = Object.entries(step.terms).map(([name, value]) => `${words(name)} ${number(value)} ${(manifest.units || {})[name] || ""}`.trim());
   return [`view ${step.view}, rating ${number(step.rating)}`, ...terms].join(" · ");
 }
 

@@ -151,38 +151,32 @@ def why_this(
     information = terms.get("information", 0.0)
     parts = [f"{information:.{0 if abs(information) >= 100.0 else 2}f} {unit}"]
     if full_view > 0.0:
-        parts.append(f"{100.0 * information / full_view:.0f} % of a full unknown view")
+        parts.append(f"{100.0 * information / full_view:.0f} % of a full view")
     parts.append(_cost_of(terms))
-    text = f"view from ({x:.1f}, {y:.1f}, {z:.1f}) m: {', '.join(parts)}"
-    if kept:
-        text += "; the goal so far is kept"
-    better = [view for view in views if view.rejection and view.score > chosen.score]
-    return text + (f"; {_ruled_out(better, 'better', 1)}" if better else "")
+    view = "still the view" if kept else "view"
+    text = f"{view} from ({x:.1f}, {y:.1f}, {z:.1f}) m: {', '.join(parts)}"
+    better = sum(bool(view.rejection) and view.score > chosen.score for view in views)
+    return text + (f"; {better} better ruled out" if better else "")
 
 
 def _cost_of(terms: Mapping[str, float]) -> str:
     """What a view costs, in the unit in which that was rated."""
     if "duration" in terms:
         return f"{terms['duration']:.1f} s away"
-    return f"{terms.get('distance', 0.0):.2f} away (weighted m and rad)"
+    return f"{terms.get('distance', 0.0):.2f} m with turns"
 
 
 def why_none(views: list[RatedView]) -> str:
     """Say why no view is chosen."""
     if not views:
         return "no candidate view: the camera is in no known free space"
-    refused = [view for view in views if view.rejection]
-    return f"no view can be chosen: {_ruled_out(refused, 'views', 5)}."
+    counts = count_reasons((view.rejection, 1) for view in views if view.rejection)
+    told = (
+        f"{shorten(why.split(';')[0], _LETTERS, placeholder=' ...')} ({count})"
+        for why, count in counts.most_common(5)
+    )
+    return f"no view can be chosen: {counts.total()} ruled out, most: {', '.join(told)}."
 
 
 _LETTERS = 70
 """Of a reason against views; its first clause is told."""
-
-
-def _ruled_out(views: list[RatedView], what: str, kinds: int) -> str:
-    counts = count_reasons((view.rejection, 1) for view in views).most_common(kinds)
-    told = (
-        f"{shorten(why.split(';')[0], _LETTERS, placeholder=' ...')} ({count})"
-        for why, count in counts
-    )
-    return f"{len(views)} {what} ruled out, most: {', '.join(told)}"

@@ -68,6 +68,19 @@ def test_colors_of_a_camera_that_is_called_depth_are_no_depths(tmp_path: Path) -
     assert problems == ["/r200_depth/image_raw is no depth image: its encoding is 'bgr8'"]
 
 
+def test_a_depth_camera_without_a_calibration_is_passed_over(tmp_path: Path) -> None:
+    zero = np.zeros((3, 3))
+    none = CameraCalibration(64, 48, "", np.zeros(0), zero, zero, np.zeros((3, 4)))
+    with BagWriter(tmp_path / "bag") as writer:
+        writer.write("/a/depth/camera_info", CameraInfoRecord(START, "optical", none))
+        depths = ImageRecord(START, "optical", np.zeros((48, 64), np.uint16), "16UC1")
+        writer.write("/a/depth/image_rect", depths)
+        write_camera(writer, "/b/depth/image_rect", "16UC1")
+    images, problems = chosen(tmp_path / "bag")
+    assert images == ("/b/depth/image_rect",)
+    assert problems[0].startswith("/a/depth/image_rect cannot be used: ")
+
+
 def test_a_true_pair_is_taken_before_a_depth_camera(tmp_path: Path) -> None:
     with BagWriter(tmp_path / "bag") as writer:
         write_camera(writer, "/left/image_rect", "mono8")

@@ -51,3 +51,14 @@ def test_failure_names_the_debian_packages(world: World, monkeypatch: pytest.Mon
     monkeypatch.setattr(mujoco, "Renderer", fail)
     with pytest.raises(SimulationError, match=r"libegl1 libegl-mesa0.*libosmesa6"):
         Renderer(world.model, 64, 48)
+
+
+def test_warnings_of_mujoco_leave_no_file_behind(tmp_path, monkeypatch, caplog):
+    monkeypatch.chdir(tmp_path)
+    description = """<robot name="r"><link name="a"/><link name="b"/>
+        <joint name="j" type="revolute"><parent link="a"/><child link="b"/><axis xyz="0 0 1"/>
+        <limit lower="0.5" upper="0.5" effort="1" velocity="1"/></joint></robot>"""
+    with caplog.at_level("DEBUG"):
+        mujoco.MjSpec.from_string(description)
+    assert "equal lower and upper limits" in caplog.text
+    assert list(tmp_path.iterdir()) == []

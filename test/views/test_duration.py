@@ -140,7 +140,19 @@ def test_the_reason_gives_the_cost_in_its_unit() -> None:
         return why_this(view, [view], False, 100.0, "bits")
 
     assert "12.3 s away" in reason(duration=12.34)
-    assert "1.23 away (weighted m and rad)" in reason(distance=1.234)
+    assert "1.23 m with turns" in reason(distance=1.234)
+
+
+def test_a_reason_is_read_at_a_glance() -> None:
+    pose = np.eye(4)
+    pose[:3, 3] = -123.4, -123.4, -12.3
+    chosen = RatedView(pose, {"information": 123456.7, "distance": 123.4}, 1.0, 1.0)
+    refused = RatedView(
+        pose, {}, 2.0, 2.0, "no way of the arm found in 3000 samples; straight on: no"
+    )
+    told = why_this(chosen, [chosen, *[refused] * 1234], True, 1e6, "bits")
+    assert len(f"largest_information: {told}".split()) <= 25
+    assert "1234 better ruled out" in told and "12 % of a full view" in told
 
 
 def test_impossible_times_and_units_are_refused() -> None:

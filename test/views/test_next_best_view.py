@@ -161,7 +161,7 @@ def test_reason_says_what_speaks_for_the_view(half_seen: Situation) -> None:
     decision = choose(half_seen)
     assert decision.chosen is not None
     assert f"{decision.chosen.terms['information']:.0f} bits" in decision.reason
-    assert "full unknown view" in decision.reason and "largest_information" in decision.reason
+    assert "of a full view" in decision.reason and "largest_information" in decision.reason
 
 
 def test_robot_is_asked_in_batches_and_for_a_plan_only_once(half_seen: Situation) -> None:
@@ -192,7 +192,7 @@ def test_goal_is_kept_until_clearly_beaten(half_seen: Situation) -> None:
         decision = choose(half_seen, previous_goal=goal)
         assert decision.chosen is not None
         assert np.array_equal(decision.chosen.pose, goal) == kept
-        assert ("goal so far is kept" in decision.reason) == kept
+        assert ("still the view from" in decision.reason) == kept
 
 
 def test_goal_that_has_become_impossible_is_given_up(half_seen: Situation) -> None:

@@ -124,6 +124,12 @@ def _why_no_depth(bag: Recording, topics: DepthTopics) -> str:
     image = _first(bag, topics.depth)
     if isinstance(image, ImageRecord) and image.encoding not in DEPTH_ENCODINGS:
         return f"{topics.depth} is no depth image: its encoding is '{image.encoding}'"
+    info = _first(bag, topics.info)
+    try:
+        if isinstance(info, CameraInfoRecord):
+            info.calibration.rectified_camera()
+    except CalibrationError as error:
+        return f"{topics.depth} cannot be used: {error}"
     return ""
 
 

@@ -153,7 +153,7 @@ class BagReader:
             source.close()
             found = "; ".join(source.problems) or str(error)
             raise BagError(f"nothing in {self.path.name} can be read: {found}") from error
-        why = f"{type(error).__name__}: {error}"
+        why = f"{type(error).__name__}: {str(error).partition(chr(10))[0]}"
         self.problems = source.problems or [f"{self.path.name} is read without its index ({why})"]
         return source
 

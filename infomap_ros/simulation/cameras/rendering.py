@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass
 from types import TracebackType
 from typing import Any
@@ -15,6 +16,17 @@ from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.simulation import backend
 
 import mujoco  # isort: skip  # after the backend has been chosen
+
+_LOGGER = logging.getLogger(__name__)
+
+
+def _tell(warning: str) -> None:
+    """Log what MuJoCo would write into a file of the current folder."""
+    level = logging.DEBUG if "ignored" in warning else logging.WARNING
+    _LOGGER.log(level, "MuJoCo: %s", warning)
+
+
+mujoco.set_mju_user_warning(_tell)
 
 COLLISION_GROUP = 3
 """Geoms of this group collide but are not drawn."""

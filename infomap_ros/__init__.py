@@ -4,12 +4,16 @@
 """
 
 from importlib import import_module as _import_module
+from os import environ as _environ
 from pathlib import Path as _Path
 from typing import Any as _Any
 
 from infomap_ros._kernel_cache import use_kernel_cache as _use_kernel_cache
 
 __version__ = "0.1.0"
+
+# Of any image, before it is decoded: few bytes may unfold to gigabytes. OpenCV reads it once.
+_environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(1 << 26))
 
 _use_kernel_cache(_Path(__file__).resolve().parent)
 

@@ -19,7 +19,6 @@ IMAGE = "sensor_msgs/msg/Image"
 COMPRESSED_IMAGE = "sensor_msgs/msg/CompressedImage"
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 
-_MOST_PIXELS = 1 << 26  # of a compressed image
 _NAMED_ENCODINGS = {
     "mono8": ("u1", 1),
     "bgr8": ("u1", 3),
@@ -136,8 +135,6 @@ def decode_compressed_image(message: object) -> ImageRecord:
         if not form.startswith(("16UC1", "mono16")) or "rvl" in form:
             fields.fail(f"format '{form}' is not supported")
         data = data[12:]  # the transport's own header: format and two quantization parameters
-    if _declared_pixels(data) > _MOST_PIXELS:
-        fields.fail(f"declares {_declared_pixels(data)} pixels, expected at most {_MOST_PIXELS}")
     try:
         pixels = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if len(data) else None
     except cv2.error as error:
@@ -145,14 +142,6 @@ def decode_compressed_image(message: object) -> ImageRecord:
     if pixels is None:
         fields.fail(f"{len(data)} bytes of format '{form}' are not an image that can be decoded")
     return ImageRecord(stamp, frame_id, pixels, _decoded_encoding(fields, form, pixels))
-
-
-def _declared_pixels(data: NDArray[np.uint8]) -> int:
-    """Pixels that a PNG, which may unfold a thousandfold, says it holds; 0 for other formats."""
-    header = data[:24].tobytes()
-    if len(header) < 24 or not header.startswith(b"\x89PNG\r\n\x1a\n"):
-        return 0
-    return int.from_bytes(header[16:20], "big") * int.from_bytes(header[20:24], "big")
 
 
 def _decoded_encoding(fields: MessageFields, form: str, pixels: NDArray[np.generic]) -> str:

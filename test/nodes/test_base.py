@@ -215,3 +215,14 @@ def test_quality_of_service_can_be_overridden(graph: Any) -> None:
 
     (info,) = graph.tester.get_subscriptions_info_by_topic(topic)
     assert info.qos_profile.reliability == qos.stream().reliability
+
+
+def test_what_a_drop_tells_is_one_printable_line(graph: Any, capfd: Any) -> None:
+    node = graph.add(EchoNode)
+    node.drop("odd", "\x1b[2J\n[INFO] all is well" + 5_000_000 * "x")
+    said = capfd.readouterr().err
+    (line,) = (line for line in said.splitlines() if "dropped (odd)" in line)
+    assert "\\x1b[2J\\n[INFO] all is well" in line and len(line) < 700
+    assert "\x1b[2J" not in said
+    told = node.health.values()["last drop: odd"]
+    assert told.isprintable() and len(told) < 600

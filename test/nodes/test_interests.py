@@ -122,6 +122,18 @@ def test_a_message_counts_as_a_whole_or_not_at_all(
     assert interests.current() == before
 
 
+@pytest.mark.parametrize("where", ["ns", "frame"])
+def test_names_that_a_terminal_would_obey_are_refused(interests: Interests, where: str) -> None:
+    bad = marker(9)
+    if where == "ns":
+        bad.ns = "\x1b[2J"
+    else:
+        bad.header.frame_id = "map\n[INFO] all is well"
+    with pytest.raises(MalformedMessageError, match="no printable") as refused:
+        interests.update(MarkerArray(markers=[bad]))
+    assert str(refused.value).isprintable()
+
+
 def test_more_markers_than_anybody_sets_are_refused(interests: Interests) -> None:
     before = interests.current()
     with pytest.raises(MalformedMessageError, match="1001"):

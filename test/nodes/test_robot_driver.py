@@ -12,6 +12,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import Twist, TwistStamped
 from nav_msgs.msg import Path
 from rclpy.action import ActionClient, CancelResponse
+from rclpy.clock import ClockType
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
@@ -373,6 +374,29 @@ def test_a_base_that_is_stuck_or_stopped_says_so(graph: Any) -> None:
     result = bench.result(bench.drive((0, 0, 0), (9, 0, 0)))
     assert result.outcome is Outcome.FAILED
     assert "the base is stuck at x" in result.reason
+
+
+def test_stop_ends_a_drive_by_velocities_and_says_what_moved(graph: Any) -> None:
+    bench = VelocityBench(graph, Twist, base="cmd_vel", **FAST)
+    stop = graph.tester.create_client(Trigger, "robot_driver/stop")
+    graph.spin_until(stop.service_is_ready, "service")
+    first = bench.drive((0, 0, 0), (9, 0, 0))
+    graph.spin_until(lambda: bench.base.pose[0] > 0.3, "motion")
+    answers = []
+    for _ in range(2):
+        future = stop.call_async(Trigger.Request())
+        graph.spin_until(future.done, "answer")
+        answers.append(future.result().message)
+        assert bench.result(first).outcome is Outcome.CANCELED
+        graph.spin_until(lambda: bench.base.commands[-1] == (0.0, 0.0), "stop")
+    assert answers[0] == "stopping" and answers[1].startswith("nothing that this node began moves")
+
+
+@NEEDS_ACTIONS
+def test_motions_are_timed_by_a_clock_that_nobody_sets(graph: Any) -> None:
+    for bench in (ArmBench(graph), Nav2Bench(graph)):
+        motions = bench.node._drivers[0]._carrier._motions
+        assert motions._clock.clock_type is ClockType.STEADY_TIME
 
 
 def test_an_arm_without_controllers_is_no_configuration(graph: Any) -> None:

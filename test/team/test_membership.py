@@ -83,6 +83,17 @@ def test_a_robot_may_start_again_with_any_clock_and_speak_late() -> None:
     membership.check_update(update(3, 2**31, session=3), 61.0, 1)
 
 
+def test_what_was_recorded_long_ago_is_not_believed_over_a_robot_that_is_alive() -> None:
+    """Without a key, of sessions that were never heard; once the robot is silent, it may be it."""
+    hour, alive = 3_600_000, 10**9  # versions are milliseconds
+    membership = Membership(0, 1, grace=5.0)
+    membership.check_update(update(3, alive, session=2), 0.0, 1)
+    membership.check_update(update(3, alive + 6000, session=2), 6.0, 1)
+    assert refusal(membership, update(3, alive - hour, session=1), now=6.5) == BACKWARDS
+    assert refusal(membership, update(3, alive - 200 * hour, session=7), now=1.0) == BACKWARDS
+    membership.check_update(update(3, alive - hour, session=1), 60.0, 1)
+
+
 def test_two_robots_with_one_id_are_noticed() -> None:
     membership = Membership(0, 1, grace=5.0)
     membership.check_update(update(3, 1000, session=1), 0.0, 1)

@@ -154,6 +154,17 @@ def test_what_the_log_tells_is_said(run: Run, shown: Any) -> None:
     assert "interest" not in text.replace("Place of interest", "")
 
 
+def test_words_of_others_are_text_wherever_they_stand(run: Run, shown: Any) -> None:
+    bad = "<img src=x onerror=alert(1)>"
+    display = LogDisplay(run.page)
+    display.show(PROGRESS | {"state": bad})
+    display.show(DECISION | {"reason": bad, "strategy": bad})
+    display.show({"t": 3.0, "kind": "end", "reason": bad, "detail": bad})
+    run.page.panel.say(bad)
+    shown.wait(f"document.body.innerText.includes({bad!r})")
+    assert shown.evaluate("document.querySelectorAll('img[onerror]').length") == 0
+
+
 def test_the_map_is_drawn_where_there_is_one(run: Run, shown: Any, tmp_path: Path) -> None:
     before = drawn(shown, tmp_path / "before.png")
 

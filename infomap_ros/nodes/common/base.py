@@ -41,7 +41,7 @@ from infomap_ros.errors import (
 )
 from infomap_ros.geometry.config import all_parameters
 from infomap_ros.nodes.common import qos
-from infomap_ros.nodes.common.health import Health
+from infomap_ros.nodes.common.health import Health, as_line
 from infomap_ros.nodes.common.interrupts import part_soon, release_when_leaving
 from infomap_ros.nodes.common.lockstep import LockstepConfig, LockstepReporter
 from infomap_ros.nodes.common.memory import heap_in_use
@@ -305,6 +305,7 @@ class MonitoredNode(Node):
 
     def drop(self, reason: str, detail: str = "") -> None:
         """Count data that were not used, and say so at most every five seconds per reason."""
+        reason, detail = as_line(reason), as_line(detail)
         if self.health.dropped(reason, detail):
             more = "" if detail == reason else detail
             self.get_logger().warning(f"dropped ({reason}) {more}".rstrip())

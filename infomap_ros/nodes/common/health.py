@@ -18,6 +18,11 @@ _LONGEST_DETAIL = 500  # letters that are told of a drop
 _WINDOW = 50  # arrivals from which a rate is computed
 
 
+def as_line(text: str) -> str:
+    """A text as logs, terminals and pages may show it: one printable line that is not too long."""
+    return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text[:_LONGEST_DETAIL])
+
+
 @dataclass
 class Stream:
     """Arrivals on one topic.
@@ -112,7 +117,7 @@ class Health:
         now = self._clock()
         with self._lock:
             self._drops[reason] += 1
-            self._last_detail[reason] = detail[:_LONGEST_DETAIL]
+            self._last_detail[reason] = detail
             if now < self._quiet_until.get(reason, now):
                 return False
             self._quiet_until[reason] = now + WARNING_PERIOD

@@ -8,8 +8,8 @@ from typing import Any
 
 from action_msgs.srv import CancelGoal
 from rclpy.clock import Clock, ClockType
-from rclpy.node import Node
 
+from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.driving.action_goal import ActionGoal, GoalRequest
 from infomap_ros.nodes.driving.motion_result import Order, Outcome
 
@@ -42,8 +42,8 @@ class ActionMotions:
         actions: names of the actions that goals are sent to.
     """
 
-    def __init__(self, node: Node, actions: Iterable[str]) -> None:
-        self._log, self._clock = node.get_logger(), node.get_clock()
+    def __init__(self, node: MonitoredNode, actions: Iterable[str]) -> None:
+        self._log, self._clock = node.get_logger(), node.motion_clock
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._motion: _Motion | None = None
         self._replaced: list[ActionGoal] = []

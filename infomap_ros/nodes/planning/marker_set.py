@@ -45,6 +45,8 @@ class MarkerSet(Generic[Item]):
         """
         items = dict(self._items)
         for marker in message.markers:
+            if not f"{marker.ns}{marker.header.frame_id}".isprintable():
+                raise MalformedMessageError(MARKER, f"{marker.ns!r} is no printable namespace")
             if marker.action == Marker.DELETEALL:
                 items.clear()
             elif marker.action == Marker.DELETE:

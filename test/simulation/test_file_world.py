@@ -167,6 +167,7 @@ def test_an_octree_stands_on_its_floor(
         ("broken.stl", "solid\nendsolid\n", "broken.stl"),
         ("plan.yaml", "image: none.pgm\nresolution: 0.05\norigin: [0, 0, 0]\n", "none.pgm"),
         ("other.yaml", "- 1\n", "no map_server file"),
+        ("deep.yaml", "[" * 2000, "no map_server file"),
     ],
 )
 def test_what_cannot_be_read_is_named(

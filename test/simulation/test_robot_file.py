@@ -95,7 +95,7 @@ def test_errors_name_the_parameter(tmp_path: Path, values: dict[str, object], cu
 
 
 def test_files_that_are_none_are_refused(tmp_path: Path) -> None:
-    for text in ("[", "- a", "/**: 3"):
+    for text in ("[", "- a", "/**: 3", "[" * 2000):
         (tmp_path / "bad.yaml").write_text(text, encoding="utf-8")
         with pytest.raises(ConfigError, match=r"bad\.yaml"):
             RobotFile.read(tmp_path / "bad.yaml")

@@ -159,7 +159,7 @@ class RobotFile:
         found = robot_path(path)
         try:
             content = yaml.safe_load(found.read_text(encoding="utf-8"))
-        except (yaml.YAMLError, UnicodeDecodeError) as error:
+        except (yaml.YAMLError, UnicodeDecodeError, RecursionError) as error:
             problem = " ".join(str(error).split())
             raise ConfigError("--robot", str(found), f"a parameter file ({problem})") from error
         values: dict[str, Any] = {}

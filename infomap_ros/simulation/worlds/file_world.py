@@ -184,7 +184,7 @@ def _plan(path: Path, walls: float) -> _Content:
         image, edge = path.parent / str(told["image"]), float(told["resolution"])
         x, y = (float(value) for value in told["origin"][:2])
         limit, negate = float(told.get("occupied_thresh", 0.65)), bool(told.get("negate", 0))
-    except (OSError, yaml.YAMLError, KeyError, TypeError, ValueError) as error:
+    except (OSError, yaml.YAMLError, LookupError, TypeError, ValueError, RecursionError) as error:
         raise InvalidInputError("world", f"{path} is no map_server file ({error!r})") from error
     gray = cv2.imread(str(image), cv2.IMREAD_GRAYSCALE)
     if gray is None:

@@ -22,7 +22,7 @@ from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.planning.route_status import WORKING, RouteStatusListener
 
-_RETRY = 1.0  # [s]
+_RETRY = 0.25  # [s] between two looks at a planner that is not there, answers not or has no plan
 
 
 @dataclass(frozen=True)

@@ -62,7 +62,7 @@ def relations(records: Sequence[Record], share: float) -> str:
     labels = [label for label in map(label_of, BASELINES) if label in present]
     kinds = ("all", *dict.fromkeys(record.task.world.kind for record in records))
     shares = (*_SHARES, share)
-    names = ["way of", "over that of", "worlds", *(f"to {100 * s:g} %" for s in shares)]
+    names = ["distance of", "over that of", "worlds", *(f"to {100 * s:g} %" for s in shares)]
     lines = [
         [other, first, kind, *(_text(way_ratio(records, other, first, s, kind)) for s in shares)]
         for first, other in combinations(labels, 2)

@@ -74,7 +74,7 @@ def rover(
 
 
 def _write_curves(results: Results, path: Path) -> None:
-    """Mapped points and way after each view, one line each."""
+    """Mapped points and distance after each view, one line each."""
     names = ["world", "strategy", "view", "points", "distance_m", "processor_s"]
     lines = [
         [task.seed, task.label, view, *map(float, row)]

@@ -77,7 +77,7 @@ class TaskConfig:
     )
     max_views: int = parameter(80, "Budget of views.", low=1, high=100000)
     max_distance: float = parameter(
-        300.0, "Budget of the way of the base.", unit="m", low=0.0, high=1e6
+        300.0, "Budget of the distance driven.", unit="m", low=0.0, high=1e6
     )
     max_time: float = parameter(7200.0, "Budget of time.", unit="s", low=1.0, high=1e7)
     max_failures: int = setting(

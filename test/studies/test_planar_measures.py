@@ -88,7 +88,7 @@ def test_savings_are_drawn_with_their_bounds(tmp_path: Path) -> None:
     assert kinds == ["exact", "at least", "at most"]
     draw_savings(rows, "own", ["other"], 0.9, tmp_path / "saved")
     text = (tmp_path / "saved.svg").read_text()
-    assert "at least" in text and "way saved by own" in text
+    assert "at least" in text and "distance saved by own" in text
     assert (tmp_path / "saved.png").stat().st_size > 5000
 
 

@@ -146,7 +146,7 @@ def overview(rows: list[Row], config: MetricsStudyConfig) -> str:
     """Means by metric as a Markdown table."""
     names = [
         "metric", "worlds", f"area per scan, {config.scans} scans [%]",
-        f"area per way, {config.reach:g} m [%]", "mapped at the end [%]", "way [m]",
+        f"area per distance, {config.reach:g} m [%]", "mapped at the end [%]", "distance [m]",
         "bits removed [1000]", "wrong cells [per mille]", "ended early in", "choice [ms]",
     ]  # fmt: skip
     lines = []
@@ -164,7 +164,7 @@ def overview(rows: list[Row], config: MetricsStudyConfig) -> str:
 def comparisons(rows: list[Row], config: MetricsStudyConfig) -> str:
     """Each metric less `OWN`, paired by world, by kind of world, as a Markdown table."""
     kinds = ["all", *dict.fromkeys(row.kind for row in rows)]
-    names = ["metric", *(f"per scan, {k}" for k in kinds), *(f"per way, {k}" for k in kinds)]
+    names = ["metric", *(f"per scan, {k}" for k in kinds), *(f"per distance, {k}" for k in kinds)]
     lines = [
         [
             f"`{metric}`",

@@ -227,7 +227,7 @@ def overview(rows: Sequence[Row], config: PlanarStudyConfig) -> str:
     lines = [_overview_line(rows, name) for name in dict.fromkeys(row.strategy for row in rows)]
     note = (
         f"Mean ± half width of the {100 * CONFIDENCE:.0f} % band over worlds. Where a strategy did "
-        "not get so far, all its way counts, so that the distance is at least the number given. "
+        "not get so far, all its distance counts, and it is at least the number given. "
         "The first run of an installation compiles, which counts as choice.\n"
     )
     return markdown(names, lines) + "\n" + note
@@ -402,7 +402,7 @@ def draw_savings(
     axes.plot([], [], "ks", label=f"mean, {100 * CONFIDENCE:.0f} % band")
     axes.axhline(0.0, color="black", linewidth=0.8)
     axes.set_xticks(range(len(others)), others)
-    axes.set_ylabel(f"way saved by {own}\nuntil {100 * share:g} % are mapped [%]")
+    axes.set_ylabel(f"distance saved by {own}\nuntil {100 * share:g} % are mapped [%]")
     axes.grid(axis="y", alpha=0.3)
     figure.legend(loc="outside right upper", fontsize=8)
     save(figure, path)

@@ -46,5 +46,5 @@ class OneSensorConfig(DrawnWorldsConfig):
 
     scans: int = parameter(100, "Scans of the figures.", low=2, high=10_000)
     reach: float = parameter(
-        1000.0, "Coverage is averaged over so much way.", unit="m", low=1.0, high=1e6
+        1000.0, "Coverage is averaged over this distance.", unit="m", low=1.0, high=1e6
     )

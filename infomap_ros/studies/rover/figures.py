@@ -37,7 +37,7 @@ def draw_curves(results: Results, config: RoverStudyConfig, path: Path) -> None:
         _draw_strategy(left, own, config, ("points", 1e-3), styles[label])
         _draw_strategy(right, own, config, ("distance", 1.0), styles[label])
     _label(left, "mapped points of the true surface [1000]", config)
-    _label(right, "way of the base [m]", config)
+    _label(right, "distance driven [m]", config)
     handles, names = left.get_legend_handles_labels()
     figure.legend(handles, names, loc="outside lower center", ncols=len(names), fontsize=8)
     worlds = len({task.seed for task in results})
@@ -85,7 +85,11 @@ def draw_regions(results: Results, path: Path) -> None:
 
 
 def _add_legend(figure: Figure) -> None:
-    marks = ((_MAPPED, "mapped surface"), (_UNMAPPED, "not mapped"), (_VIEWS, "views, way between"))
+    marks = (
+        (_MAPPED, "mapped surface"),
+        (_UNMAPPED, "not mapped"),
+        (_VIEWS, "views, path between"),
+    )
     handles = [
         Line2D([], [], linestyle="", marker="o", markersize=5, color=color, label=name)
         for color, name in marks

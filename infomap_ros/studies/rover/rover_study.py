@@ -194,7 +194,7 @@ def overview(results: Results, config: RoverStudyConfig) -> str:
     few, many = config.views, config.raster_views
     names = [
         "strategy", "worlds", f"mapped points after {few} views [1000]", "share of the visible [%]",
-        f"way [m] in {few} views", f"{OWN}, {few} views: times as many as with {few} of it",
+        f"distance [m] in {few} views", f"{OWN}, {few} views: times as many as with {few} of it",
         f"... as with {many} of it",
     ]  # fmt: skip
     rows, lines = rows_of(results, config), []

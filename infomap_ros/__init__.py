@@ -11,7 +11,6 @@ from typing import Any as _Any
 from infomap_ros._kernel_cache import use_kernel_cache as _use_kernel_cache
 
 __version__ = "0.1.0"
-
 # Of any image, before it is decoded: few bytes may unfold to gigabytes. OpenCV reads it once.
 _environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(1 << 26))
 
@@ -29,7 +28,5 @@ def names_on_demand(package: str, places: dict[str, str]) -> _Any:
     return load
 
 
-_MAPPED = "replay.mapped_bag"
-__getattr__ = names_on_demand(
-    __name__, {"VoxelMap": "mapping", "localize_bag": _MAPPED, "map_bag": _MAPPED}
-)
+_PLACES = {"VoxelMap": "mapping"} | dict.fromkeys(("localize_bag", "map_bag"), "replay.mapped_bag")
+__getattr__ = names_on_demand(__name__, _PLACES)

@@ -307,8 +307,7 @@ class MonitoredNode(Node):
         """Count data that were not used, and say so at most every five seconds per reason."""
         reason, detail = as_line(reason), as_line(detail)
         if self.health.dropped(reason, detail):
-            more = "" if detail == reason else detail
-            self.get_logger().warning(f"dropped ({reason}) {more}".rstrip())
+            self.get_logger().warning(f"dropped ({reason}) {detail * (detail != reason)}".rstrip())
 
     def destroy_node(self) -> None:
         """Stop the workers, then the node."""

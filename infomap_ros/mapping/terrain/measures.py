@@ -126,12 +126,10 @@ def largest_steps(heights: Any, sigmas: Any, edge: float, steps: Any) -> None:
 
     To a neighbor within half of `STEP_LENGTH`, at least the 8 next ones, or from there to the one
     opposite: an edge that the map blurs. It is the difference in height less `SURE` deviations:
-    ground that was seen from afar is no stairs for its noise. Coming nearer shows it better. Of a
-    height that is known to its cube alone, one in the next cube may be the same.
+    ground that was seen from afar is no stairs for its noise. Coming nearer shows it better.
     """
     nx, ny = heights.shape
-    cube = CUBE_SIGMA * edge
-    largest = math.sqrt(2.0) * cube
+    largest = math.sqrt(2.0) * CUBE_SIGMA * edge
     cells = max(0.5 * STEP_LENGTH / edge, 1.5) + 1e-6
     reach = int(cells)
     for i in range(nx):
@@ -144,15 +142,13 @@ def largest_steps(heights: Any, sigmas: Any, edge: float, steps: Any) -> None:
                     there, sigma = heights[i + a, j + b], sigmas[i + a, j + b]
                     # The root of the variances takes most of the time: only where it may matter.
                     rise = abs(there - here)
-                    coarse = sigma == cube or sigmas[i, j] == cube
-                    if rise > step and not (coarse and rise < 1.01 * edge):
+                    if rise > step:
                         deviation = min(math.hypot(sigma, sigmas[i, j]), largest)
                         step = max(step, rise - SURE * deviation)
                     k, m = i - a, j - b
                     if (a, b) > (0, 0) and 0 <= k < nx and 0 <= m < ny:  # each pair once
                         rise = abs(there - heights[k, m])
-                        coarse = sigma == cube or sigmas[k, m] == cube
-                        if rise > step and not (coarse and rise < 1.01 * edge):
+                        if rise > step:
                             deviation = min(math.hypot(sigma, sigmas[k, m]), largest)
                             share = min(1.0, 0.5 * STEP_LENGTH / (math.hypot(a, b) * edge))
                             step = max(step, (rise - SURE * deviation) * share)

@@ -82,7 +82,7 @@ MOST_LINES = {
     "fiducial_localization": 39_150,
     "dead_reckoning": 11_700,
     "robot_driver": 13_200,
-    "web_viewer": 31_455,
+    "web_viewer": 31_450,
 }
 """Of what importing a node's module imports; to be lowered with each of them."""
 

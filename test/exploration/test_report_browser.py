@@ -287,7 +287,7 @@ def test_two_clicks_measure_and_escape_forgets(window: Browser, tmp_path: Path) 
     x, y, _, _ = stage(window)
     window.click(x + places[0][1], y + places[0][0])
     assert "sigma, probability" in window.evaluate(marked)
-    assert "straight distance" not in window.evaluate(marked)
+    assert "distance" not in window.evaluate(marked)
     window.click(x + places[1][1], y + places[1][0])
     told = re.findall(
         r"(level distance|straight distance|height difference)\t(.*) m", window.evaluate(marked)
@@ -297,7 +297,7 @@ def test_two_clicks_measure_and_escape_forgets(window: Browser, tmp_path: Path) 
     assert values["level distance"] == pytest.approx(np.sqrt(18.0), abs=0.2)
     assert values["height difference"] == pytest.approx(1.0, abs=0.11)
     window.evaluate("document.dispatchEvent(new KeyboardEvent('keydown', {key: 'Escape'}))")
-    assert "straight distance" not in window.evaluate(marked)
+    assert "distance" not in window.evaluate(marked)
 
 
 def test_on_a_phone_the_map_fills_its_view_and_nothing_is_wider(

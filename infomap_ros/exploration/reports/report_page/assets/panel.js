@@ -40,7 +40,7 @@ function showStep(n, arrays) {
 
 // Where the marked voxels are, and how far from each other.
 function showMarked(marked) {
-  if (!marked.length) return byId("marked").replaceChildren(element("p", "Click the map: coordinates. Click again: distance."));
+  if (!marked.length) return byId("marked").replaceChildren(element("p", "Click the map: coordinates. Click again: how far."));
   const values = {};
   if (marked.length === 2) {
     const [dx, dy, dz] = add(marked[1].at, marked[0].at, -1);

@@ -56,10 +56,11 @@ class PaperRover:
         obeys: whether it drives.
         moves_arm: whether it moves its arm.
         is_located: whether it publishes its camera_pose; if not, odometry.
+        is_silent: publish nothing.
         pose_covariance: that it publishes with its camera_pose, shape (6, 6).
     """
 
-    is_located = True
+    is_located, is_silent = True, False
 
     def __init__(self, graph: Any, tells_updates: bool = True) -> None:
         self.graph, self.tells_updates = graph, tells_updates
@@ -86,6 +87,8 @@ class PaperRover:
         return self.base @ self.model.forward_kinematics(self.joints, FRAMES["left"])
 
     def publish(self) -> None:
+        if self.is_silent:
+            return
         self.stamp += 50_000_000
         pose = PoseRecord(self.stamp, "map", self.T_map_camera(), self.pose_covariance)
         if self.is_located:

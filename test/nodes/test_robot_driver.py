@@ -23,7 +23,7 @@ from infomap_ros.messages.motions import encode_arm_trajectory, encode_base_path
 from infomap_ros.motion.route import ArmPath
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.message_types import RclpyMessageTypes
-from infomap_ros.nodes.driving import arm_driver
+from infomap_ros.nodes.driving import action_goal, arm_driver
 from infomap_ros.nodes.driving.action_types import FOLLOW_JOINT_TRAJECTORY, action_class
 from infomap_ros.nodes.driving.motion_result import MotionResult, Outcome, read_motion_result
 from infomap_ros.nodes.robot_driver import RobotDriverNode
@@ -121,6 +121,7 @@ def test_each_controller_moves_its_own_joints_and_says_so(graph: Any) -> None:
 def test_a_controller_that_aborts_stops_the_others_and_is_quoted(graph: Any) -> None:
     bench = ArmBench(graph, goal_time=0.2)
     bench.wrist.stuck.add("arm_wrist_joint")
+    bench.arm.slower = 1e3  # it is under way when the wrist aborts
     knots = np.array([[0.1, 0.1], [0.3, 0.1], [0.3, 1.0]])
     path = ArmPath(("arm_wrist_joint", "arm_pan_joint"), knots, np.array([0.0, 0.2, 0.4]))
     bench.trajectories.publish(encode_arm_trajectory(TYPES, 0, path, label="stuck"))
@@ -128,6 +129,8 @@ def test_a_controller_that_aborts_stops_the_others_and_is_quoted(graph: Any) -> 
     assert result.outcome is Outcome.FAILED
     assert "wrist_controller: aborted, GOAL_TOLERANCE_VIOLATED (-5)" in result.reason
     assert "joint arm_wrist_joint is 0.20 off" in result.reason
+    assert (bench.arm.canceled, bench.wrist.canceled) == (1, 0)
+    assert not bench.arm.moves
 
 
 @NEEDS_ACTIONS
@@ -192,6 +195,30 @@ def test_a_controller_that_refuses_to_stop_is_said_at_once(graph: Any) -> None:
     result = bench.result("long")
     assert "refuses to stop, the robot may still move" in result.reason
     assert time.monotonic() - begin < 2.5  # half of what is waited for an answer
+
+
+@NEEDS_ACTIONS
+def test_a_server_that_never_answers_stops_the_others_and_is_stopped_when_it_does(
+    graph: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(action_goal, "_ANSWER", 1.0)
+    bench, waiting = ArmBench(graph), []
+    server = bench.arm.server._server
+    answer = server._execute_goal_request
+
+    async def keep(request: Any) -> None:
+        waiting.append(request)
+
+    server._execute_goal_request = keep
+    bench.move(("arm_wrist_joint", "arm_pan_joint"), [1.0, 1.0], 60.0, "unanswered")
+    result = bench.result("unanswered")
+    assert result.outcome is Outcome.FAILED
+    assert "has not answered the goal within 1 s, the robot may still move" in result.reason
+    assert (bench.wrist.canceled, bench.wrist.moves, len(waiting)) == (1, False, 1)
+    graph.executor.create_task(answer, *waiting)  # late: nobody waits for this motion any more
+    graph.spin_until(lambda: bench.arm.canceled == 1, "the stop of what begins late")
+    assert len(bench.arm.goals) == 1
+    assert not bench.arm.moves
 
 
 @NEEDS_ACTIONS
@@ -374,6 +401,19 @@ def test_a_base_that_is_stuck_or_stopped_says_so(graph: Any) -> None:
     result = bench.result(bench.drive((0, 0, 0), (9, 0, 0)))
     assert result.outcome is Outcome.FAILED
     assert "the base is stuck at x" in result.reason
+
+
+def test_a_base_whose_poses_end_under_way_is_stopped(graph: Any) -> None:
+    bench = VelocityBench(graph, Twist, base="cmd_vel", **FAST)
+    bench.base.patience = np.inf  # it keeps its last velocity
+    sent = bench.drive((0, 0, 0), (9, 0, 0))
+    graph.spin_until(lambda: bench.base.pose[0] > 0.3, "motion")
+    bench.rover.is_silent = True
+    result = bench.result(sent)
+    assert result.outcome is Outcome.FAILED
+    assert result.reason == "no pose of the base has come for 1 s"
+    graph.spin_until(lambda: bench.base.commands[-1] == (0.0, 0.0), "stop")
+    assert bench.base.pose[0] < 4.5
 
 
 def test_stop_ends_a_drive_by_velocities_and_says_what_moved(graph: Any) -> None:

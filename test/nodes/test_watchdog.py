@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections import ChainMap
 from typing import Any
@@ -19,12 +20,14 @@ from infomap_ros.messages.motions import encode_arm_trajectory, encode_base_path
 from infomap_ros.motion.route import ArmPath
 from infomap_ros.nodes.common.environment import process_environment
 from infomap_ros.nodes.common.message_types import RclpyMessageTypes
+from infomap_ros.nodes.driving import watchdog
 
 from .controllers import TrajectoryController, VelocityController
 from .rovers import PaperRover
 from .test_robot_driver import ARM, NEEDS_ACTIONS
 
 TYPES = RclpyMessageTypes()
+HUNG = "has given no sign of life for"
 
 
 class Moving:
@@ -74,13 +77,70 @@ def test_the_robot_stops_when_its_driver_is_gone(
 ) -> None:
     moving = Moving(graph, arm)
     try:
-        before = moving.arm.joints[ARM[0]]
+        before, place = moving.arm.joints[ARM[0]], moving.base.pose[0]
         moving.process.send_signal(fault)
         graph.spin_until(
             lambda: not moving.arm.moves and moving.base.commands[-1] == (0.0, 0.0), "standstill"
         )
         assert moving.arm.canceled == (arm == "follow_joint_trajectory")
         assert abs(moving.arm.joints[ARM[0]] - before) < 0.1  # of 0.9 rad that were left
+        assert moving.base.pose[0] - place < 1.0  # of 5 m
     finally:
         moving.process.kill()
         moving.process.wait()
+
+
+class Pipe:
+    """What the watchdog hears of a driver, and what it does then."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, patience: float) -> None:
+        heard, self._said = os.pipe()
+        self.stops: list[str] = []
+        monkeypatch.setattr(watchdog, "_PATIENCE", patience)
+        monkeypatch.setattr(sys, "stdin", os.fdopen(heard, "rb"))
+        self.thread = threading.Thread(target=watchdog._watch, args=(self,), daemon=True)
+        self.thread.start()
+
+    def stop(self, why: str) -> None:
+        self.stops.append(why)
+
+    def say(self, words: bytes) -> None:
+        os.write(self._said, words)
+
+    def end(self) -> list[str]:
+        """The driver's end of the pipe is closed; returns what was done, and why."""
+        os.close(self._said)
+        self.thread.join(20.0)
+        assert not self.thread.is_alive()
+        return self.stops
+
+
+@pytest.mark.parametrize("words", [b"", b"r", b"rrm", b"mmr"])
+def test_an_end_without_farewell_stops_before_any_patience(
+    monkeypatch: pytest.MonkeyPatch, words: bytes
+) -> None:
+    pipe = Pipe(monkeypatch, patience=1e6)
+    pipe.say(words)
+    assert pipe.end() == ["is gone"]
+
+
+@pytest.mark.parametrize("words", [b"f", b"mf", b"rf"])
+def test_a_farewell_stops_nothing(monkeypatch: pytest.MonkeyPatch, words: bytes) -> None:
+    pipe = Pipe(monkeypatch, patience=1e6)
+    pipe.say(words)
+    pipe.thread.join(20.0)
+    assert pipe.end() == []
+
+
+def test_silence_stops_a_motion_once_and_rest_never(monkeypatch: pytest.MonkeyPatch) -> None:
+    pipe = Pipe(monkeypatch, patience=0.05)
+    for words, stops in ((b"r", 0), (b"m", 1), (b"r", 1), (b"m", 2)):
+        pipe.say(words)
+        end = time.monotonic() + 20.0
+        while len(pipe.stops) < stops and time.monotonic() < end:
+            time.sleep(0.01)
+        time.sleep(0.2)  # four times the patience
+        assert len(pipe.stops) == stops
+    pipe.say(b"f")
+    pipe.end()
+    assert all(why.startswith(HUNG) for why in pipe.stops)

@@ -29,7 +29,7 @@ from infomap_ros.exploration.loop import Exploration
 from infomap_ros.exploration.mission import Mission
 from infomap_ros.exploration.records.run_log import RunLogFile
 from infomap_ros.exploration.robot import FailedView, Interrupted
-from infomap_ros.exploration.rules import STOPPED, Ending
+from infomap_ros.exploration.rules import STOPPED, Ending, EndReason
 from infomap_ros.exploration.target.target_hunt import find_target
 from infomap_ros.exploration.task import TaskConfig
 from infomap_ros.exploration.team.keep_clear import PAUSE, Awareness, KeepClearConfig, KeepsClear
@@ -180,19 +180,19 @@ class ExplorerNode(MonitoredNode):
     def __init__(self, **node_arguments: Any) -> None:
         super().__init__("explorer", **node_arguments)
         self._config = self.config(ExplorerConfig)
+        self._exploration: Exploration | None = None
         self._thread: threading.Thread | None = None
         self._tracker = RobotTracker(self, infos=("left/camera_info",))
         self._time: LockstepTime | None = None
         if self.lockstep is not None:
             self._time = LockstepTime(self, self.lockstep, lambda: self._running)
             self._tracker.wait_in_lockstep(self._time)
-        link = RobotTopics(self, self._tracker)
+        link = RobotTopics(self, self._tracker, self._stopped)
         self._robot = CommandedRobot(link, self.config(CommandedRobotConfig))
         self._teammates = TeammatesNear(self)
         self._sight = TargetSight(self, self._tracker)
         self._planner = RemotePlanner(self, self._on_failed_view, self._stopped)
         self._mission_file = Path(self._config.mission_file).absolute()
-        self._exploration: Exploration | None = None
         self._failed_views: list[FailedView] = []
         self._status = self.advertise(DiagnosticStatus, "exploration_status", qos.latched())
         orders: dict[str, Callable[[], str]] = {
@@ -279,7 +279,10 @@ class ExplorerNode(MonitoredNode):
         """The thread of the loop."""
         exploration = self._exploration
         assert exploration is not None
-        ending = self._find_target(exploration)
+        try:
+            ending = self._find_target(exploration)
+        except InfomapError as error:
+            ending = STOPPED if self._stopped() else Ending(EndReason.FAILED, str(error))
         if ending is None:
             self._write_start()
             self.get_logger().info("exploration begins")
@@ -362,7 +365,8 @@ class ExplorerNode(MonitoredNode):
                 f"cannot write {self._mission_file}: {error.strerror}", throttle_duration_sec=10.0
             )
         self._status.publish(status_message(exploration, self._failed_views))
-        self._status.wait_for_all_acked(_ACKNOWLEDGED)
+        if not self._stopped():
+            self._status.wait_for_all_acked(_ACKNOWLEDGED)
 
     def _on_failed_view(self, view: FailedView) -> None:
         self._failed_views.append(view)

@@ -57,10 +57,11 @@ class PaperRover:
         moves_arm: whether it moves its arm.
         is_located: whether it publishes its camera_pose; if not, odometry.
         is_silent: publish nothing.
+        has_joints: whether it publishes its joints.
         pose_covariance: that it publishes with its camera_pose, shape (6, 6).
     """
 
-    is_located, is_silent = True, False
+    is_located, is_silent, has_joints = True, False, True
 
     def __init__(self, graph: Any, tells_updates: bool = True) -> None:
         self.graph, self.tells_updates = graph, tells_updates
@@ -100,7 +101,8 @@ class PaperRover:
             self.odometry.publish(encode_odometry(TYPES, odometry))
         positions = np.array(list(self.joints.values()))
         state = JointStateRecord(self.stamp, "", tuple(self.joints), positions)
-        self.states.publish(encode_joint_state(TYPES, state))
+        if self.has_joints:
+            self.states.publish(encode_joint_state(TYPES, state))
         for side, publisher in self.infos.items():
             info = CameraInfoRecord(self.stamp, FRAMES[side], calibration(side))
             publisher.publish(encode_camera_info(TYPES, info))

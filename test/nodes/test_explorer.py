@@ -161,7 +161,7 @@ def test_a_lost_camera_goes_back_to_the_last_look_and_not_home(graph: Any, tmp_p
 class SearchStage(Stage):
     """A rover whose localization has not seen its target yet, and finds it in the last look."""
 
-    gives_up = False
+    gives_up, answers, calls = False, True, 0
 
     def __init__(self, graph: Any, folder: Path, looks: int) -> None:
         self.left = looks
@@ -180,6 +180,9 @@ class SearchStage(Stage):
 
     def plan_search(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         """The base turns while the target is not in sight."""
+        self.calls += 1
+        if not self.answers:
+            return response
         self.left -= 1
         still = ArmPath.staying(("arm_pan_joint",), np.array([0.1]))
         path = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.1]])
@@ -286,6 +289,67 @@ def test_a_mission_is_stopped_while_a_plan_is_waited_for(graph: Any, tmp_path: P
     stage = Stage(graph, tmp_path, views=9, autostart=True)
     stage.planner.refuses = True
     graph.spin_until(lambda: stage.planner.calls > 1, "calls in vain")
+    assert stage.call("stop").success
+    stage.spin_to("ended: stopped")
+
+
+def lose_the_pose(stage: Stage) -> None:
+    """The robot's clock is set back, and its joints are silent since."""
+    stage.rover.stamp -= 1_000_000_000_000
+    stage.rover.has_joints = False
+    stage.graph.spin_until(lambda: not stage.node._tracker.is_complete(), "loss of the pose")
+
+
+@pytest.mark.parametrize("order", ["stop", "end of the node"])
+@pytest.mark.parametrize("state", ["looking", "driving", "paused", "choosing"])
+def test_a_lost_pose_delays_no_stop(graph: Any, tmp_path: Path, state: str, order: str) -> None:
+    stage = Stage(graph, tmp_path, views=9, autostart=True, progress_timeout=600.0)
+    stage.rover.stamp += 2_000_000_000_000
+    if state == "looking":
+        graph.spin_until(lambda: stage.rover.paths, "a path")
+        stage.rover.tells_updates = False
+        stage.spin_to("looking")
+    elif state == "driving":
+        stage.rover.obeys = False
+        graph.spin_until(lambda: stage.rover.paths, "a path")
+    elif state == "paused":
+        graph.spin_until(lambda: stage.rover.paths, "a path")
+        assert stage.call("pause").success
+        stage.spin_to("paused")
+    else:
+        stage.planner.refuses = True
+        graph.spin_until(lambda: stage.planner.calls > 1, "calls in vain")
+    lose_the_pose(stage)
+    paths = len(stage.rover.paths)
+    begin = time.monotonic()
+    if order == "stop":
+        assert stage.call("stop").success
+        stage.spin_to("ended: stopped")
+    else:
+        stage.node.destroy_node()
+        assert not stage.node._running
+    assert time.monotonic() - begin < 4.0  # 1 s on a machine with nothing else to do
+    if state == "driving":
+        graph.spin_until(lambda: len(stage.rover.paths) > paths, "the order to stay")
+        assert len(stage.rover.paths[-1].poses) == 1
+
+
+def test_a_base_is_stopped_when_its_pose_is_lost_for_good(graph: Any, tmp_path: Path) -> None:
+    stage = Stage(graph, tmp_path, views=9, autostart=True)
+    stage.rover.stamp += 2_000_000_000_000
+    stage.rover.obeys = False
+    graph.spin_until(lambda: stage.rover.paths, "a path")
+    lose_the_pose(stage)
+    graph.spin_until(lambda: len(stage.rover.paths) > 1, "the order to stay")
+    assert len(stage.rover.paths[-1].poses) == 1
+    stage.spin_to("ended: failed")
+    assert "joint" in said_last(stage)
+
+
+def test_a_search_is_stopped_while_its_plan_is_waited_for(graph: Any, tmp_path: Path) -> None:
+    stage = SearchStage(graph, tmp_path, looks=2)
+    stage.answers = False
+    graph.spin_until(lambda: stage.calls > 1, "calls in vain")
     assert stage.call("stop").success
     stage.spin_to("ended: stopped")
 

@@ -11,6 +11,7 @@ from nav_msgs.msg import Path
 from sensor_msgs.msg import PointCloud2
 from trajectory_msgs.msg import JointTrajectory
 
+from infomap_ros.errors import PoseUnavailableError
 from infomap_ros.exploration.robot import Interrupted, RobotState
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.messages import POINT_CLOUD
@@ -71,12 +72,16 @@ class RobotTopics:
     Args:
         node: publishes base_path and arm_trajectory, listens to map_updates.
         tracker: knows where the robot is.
+        stopped: whether nothing is waited for any more.
 
     Attributes:
         fused_scans: see `RobotLink`.
     """
 
-    def __init__(self, node: MonitoredNode, tracker: RobotTracker) -> None:
+    def __init__(
+        self, node: MonitoredNode, tracker: RobotTracker, stopped: Callable[[], bool]
+    ) -> None:
+        self._stopped = stopped
         self._tracker, self._map_frame = tracker, node.config(RobotTrackerConfig).map_frame
         self._clock, self._types = node.get_clock(), RclpyMessageTypes()
         self._paths = node.advertise(Path, "base_path", qos.stream(depth=1))
@@ -129,7 +134,14 @@ class RobotTopics:
         self, condition: Callable[[], bool], timeout: float, interrupted: Interrupted
     ) -> bool:
         """See `RobotLink`."""
-        return self._tracker.wait_until(condition, timeout, interrupted)
+
+        def broken_off() -> bool:
+            try:
+                return self._stopped() or interrupted()
+            except PoseUnavailableError:
+                return True  # what moves is stopped first; who asks again is told
+
+        return self._tracker.wait_until(condition, timeout, broken_off)
 
     def _now(self) -> int:
         return int(self._clock.now().nanoseconds)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import OrderedDict
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,32 +12,33 @@ from infomap_ros.geometry.pose_buffer import PoseBuffer, PoseBufferConfig
 from infomap_ros.geometry.records import PoseRecord, TransformRecord
 from infomap_ros.geometry.transforms import FloatArray, compose_poses
 
+_MOST_FRAMES = 10_000  # a robot has some hundreds
+
 
 @dataclass(frozen=True)
-class _Static:
-    """An edge that never changes and is exact."""
+class _Edge:
+    """Where a frame is in its parent: fixed and exact, or by poses in order of time."""
 
     frame_id: str
-    transform: FloatArray
+    place: FloatArray | PoseBuffer
 
 
 class TransformTree:
     """A tree of frames, each placed in its parent: fixed, or by poses in order of time.
 
     Unlike tf2 an edge may carry a covariance, which goes into that of the whole chain. A fixed
-    edge is exact; a chain with a moving edge of unknown covariance has an unknown covariance.
+    edge is exact; a chain with a moving edge of unknown covariance has an unknown covariance. Of
+    more than ten thousand frames the one neither told nor asked for longest is forgotten.
     """
 
     def __init__(self, config: PoseBufferConfig | None = None) -> None:
         self._config = config or PoseBufferConfig()
-        self._static: dict[str, _Static] = {}
-        self._moving: dict[str, PoseBuffer] = {}
-        self._parents: dict[str, str] = {}
+        self._edges: OrderedDict[str, _Edge] = OrderedDict()  # by their children, last used last
 
     @property
     def frames(self) -> frozenset[str]:
         """Names of all frames."""
-        return frozenset(self._parents) | frozenset(self._parents.values())
+        return frozenset(self._edges) | {edge.frame_id for edge in tuple(self._edges.values())}
 
     def add_transform(self, edge: TransformRecord) -> None:
         """Keep an edge of tf.
@@ -45,8 +47,7 @@ class TransformTree:
             FrameError: the child moves and has had another parent.
         """
         if edge.is_static:
-            self._static[edge.child_frame_id] = _Static(edge.frame_id, edge.transform)
-            self._parents[edge.child_frame_id] = edge.frame_id
+            self._keep(edge.child_frame_id, _Edge(edge.frame_id, edge.transform))
             return
         pose = PoseRecord(edge.stamp, edge.frame_id, edge.transform, None, edge.child_frame_id)
         self.add_pose(pose, edge.child_frame_id)
@@ -60,11 +61,19 @@ class TransformTree:
         Raises:
             FrameError: the child has had another parent.
         """
-        poses = self._moving.setdefault(child, PoseBuffer(self._config))
+        known = self._edges.get(child)
+        poses = None if known is None else known.place
+        if not isinstance(poses, PoseBuffer):
+            poses = PoseBuffer(self._config)
         jumped = poses.add(pose)
-        self._static.pop(child, None)
-        self._parents[child] = pose.frame_id
+        self._keep(child, _Edge(pose.frame_id, poses))
         return jumped
+
+    def _keep(self, child: str, edge: _Edge) -> None:
+        self._edges[child] = edge
+        self._edges.move_to_end(child)
+        if len(self._edges) > _MOST_FRAMES:
+            self._edges.popitem(last=False)
 
     def root_of(self, frame: str) -> str:
         """The topmost frame above `frame`.
@@ -102,17 +111,18 @@ class TransformTree:
 
     def _chain_above(self, frame: str) -> list[str]:
         chain = [frame]
-        while chain[-1] in self._parents:
-            chain.append(self._parents[chain[-1]])
-            if len(chain) > len(self._parents) + 1:
+        while (edge := self._edges.get(chain[-1])) is not None:
+            self._edges.move_to_end(chain[-1])
+            chain.append(edge.frame_id)
+            if len(chain) > len(self._edges) + 1:
                 raise FrameError(f"the frames above '{frame}' form a circle")
         return chain
 
     def _edge(self, child: str, stamp: int) -> PoseRecord:
-        if child in self._static:
-            edge = self._static[child]
-            return PoseRecord(stamp, edge.frame_id, edge.transform, np.zeros((6, 6)), child)
-        return self._moving[child].at(stamp)
+        edge = self._edges[child]
+        if isinstance(edge.place, PoseBuffer):
+            return edge.place.at(stamp)
+        return PoseRecord(stamp, edge.frame_id, edge.place, np.zeros((6, 6)), child)
 
 
 def _compose(parent: PoseRecord, child: PoseRecord) -> PoseRecord:

@@ -114,7 +114,7 @@ class TrajectoryController:
         self._spline = CubicHermiteSpline(
             np.append(0.0, command.times[skip:]),
             np.vstack([here, command.positions[skip:]]),
-            np.vstack([np.zeros_like(here), speeds[skip:]]),
+            np.vstack([speeds[:skip] if skip else np.zeros_like(here), speeds[skip:]]),
         )
 
     def _move(self) -> None:

@@ -8,13 +8,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-from sensor_msgs.msg import CameraInfo
+from sensor_msgs.msg import CameraInfo, JointState
 from std_msgs.msg import String
 
 from infomap_ros.errors import InfomapError, MalformedMessageError
 from infomap_ros.geometry import TransformRecord, make_transform
 from infomap_ros.geometry.assumed_pose import AssumedPoseConfig
 from infomap_ros.geometry.joint_buffer import JointBufferConfig
+from infomap_ros.geometry.transform_tree import TransformTree
+from infomap_ros.nodes.common.health import Health
 from infomap_ros.nodes.robot import description_listener
 from infomap_ros.nodes.robot.frame_listener import FrameListener
 from infomap_ros.nodes.robot.robot_tracker import RobotTracker, RobotTrackerConfig
@@ -29,6 +31,8 @@ class StubNode:
     def __init__(self) -> None:
         self.receive: dict[str, Any] = {}
         self.warnings: list[str] = []
+        self.timers: list[Any] = []
+        self.health = Health()
         self.configs = (RobotTrackerConfig(), JointBufferConfig(), AssumedPoseConfig())
 
     def config(self, kind: type) -> Any:
@@ -40,8 +44,8 @@ class StubNode:
     def get_logger(self) -> Any:
         return SimpleNamespace(info=lambda *_: None, warning=self.warnings.append)
 
-    def create_timer(self, *_arguments: Any, **_options: Any) -> None:
-        """Nothing waits here."""
+    def create_timer(self, _period: float, call: Any, **_options: Any) -> None:
+        self.timers.append(call)
 
     def resolve_topic_name(self, topic: str) -> str:
         return f"/{topic}"
@@ -141,6 +145,95 @@ def test_a_description_is_read_once_however_many_frames_come(
         node.give("/tf_static", SimpleNamespace(transforms=[edge("optical", "cam")]))
     assert len(read) == len(told) == 2
     assert "optical" in told[-1]
+
+
+def test_the_first_ten_thousand_frames_do_not_silence_a_later_one() -> None:
+    """What is used, or told again, stays known too."""
+    node, heard, tree = StubNode(), [], TransformTree()
+    listener = FrameListener(node, lambda edge: (heard.append(edge), tree.add_transform(edge)))  # type: ignore[arg-type]
+    listener.hear_moving()
+    node.give("/tf_static", SimpleNamespace(transforms=[edge("mount"), edge("idle")]))
+    for batch in range(25):
+        for topic in ("/tf", "/tf_static"):
+            junk = [edge(f"{topic}{batch}_{number}") for number in range(999)]
+            node.give(topic, SimpleNamespace(transforms=junk))
+        assert tree.at("base_link", "mount", 10**9).child_frame_id == "mount"
+    node.give("/tf", SimpleNamespace(transforms=[edge("late", "mount")]))
+    assert heard[-1].child_frame_id == "late"
+    assert tree.at("base_link", "late", 10**9).frame_id == "base_link"
+    assert len(tree.frames) <= 10_001
+    assert len(listener.static) == 10_000
+    assert "idle" not in tree.frames
+
+
+def test_a_camera_frame_is_found_after_ten_thousand_others_and_kept() -> None:
+    told: list[str] = []
+    node = StubNode()
+    listener = description_listener.DescriptionListener(node, told.append)  # type: ignore[arg-type]
+    listener.want("optical")
+    node.give("robot_description", String(data=ROBOT))
+
+    def flood(name: str) -> None:
+        for batch in range(12):
+            junk = [edge(f"{name}{batch}_{number}") for number in range(999)]
+            node.give("/tf_static", SimpleNamespace(transforms=junk))
+
+    flood("before")
+    node.give("/tf_static", SimpleNamespace(transforms=[edge("optical", "cam")]))
+    flood("after")
+    assert len(told) == 2
+    assert "optical" in told[-1]
+
+
+def test_two_publishers_who_differ_have_the_description_read_once_a_second(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    now, told = [100.0], []
+    clock = SimpleNamespace(monotonic=lambda: now[0])
+    monkeypatch.setattr(description_listener, "time", clock)
+    node = StubNode()
+    listener = description_listener.DescriptionListener(node, told.append)  # type: ignore[arg-type]
+    listener.want("optical")
+    node.give("robot_description", String(data=ROBOT))
+    for _ in range(500):
+        for parent in ("cam", "base_link"):
+            node.give("/tf_static", SimpleNamespace(transforms=[edge("optical", parent)]))
+    assert len(told) == 2  # the text, and the first of the two
+    now[0] += 1.0
+    for call in node.timers:
+        call()
+    assert len(told) == 3  # what was told last is not lost
+    assert 'link="base_link"' in told[-1].partition("optical_by_tf")[2]
+    for call in node.timers:
+        call()
+    assert len(told) == 3
+
+
+def test_a_joint_that_falls_silent_is_named_while_others_go_on() -> None:
+    now, node = [100.0], StubNode()
+    node.health = Health(lambda: now[0])
+    RobotTracker(node, infos=("left/camera_info",))  # type: ignore[arg-type]
+    turning = ROBOT.replace('type="fixed">', 'type="continuous"><axis xyz="0 0 1"/>')
+    node.give("robot_description", String(data=turning))
+    node.give("left/camera_info", info("cam"))
+    names, position = ["j", "gripper", "wheel"], [0.0, 0.0, 0.0]
+    for second in range(20):
+        now[0] += 1.0
+        state = JointState(name=names, position=position)
+        state.header.stamp.sec = second + 1
+        node.give("joint_states", state)
+        if second == 5:
+            assert not node.health.complaints()
+            names, position = ["j", "wheel"], [0.0, 0.0]
+        if second == 12:
+            assert not node.health.complaints()  # grippers are told of on change
+            assert node.health.values()["silent joints"] == "gripper"
+            position = [np.nan, 0.0]  # an encoder has failed
+    assert node.health.complaints() == ["nothing is told of joint j any more"]
+    names, position = ["j", "gripper", "wheel"], [0.0, 0.0, 0.0]
+    node.give("joint_states", JointState(name=names, position=position))
+    assert not node.health.complaints()
+    assert "silent joints" not in node.health.values()
 
 
 @pytest.mark.parametrize("name", ["a\x1b[2J", "map\n[INFO] mission complete", "x" * 300])

@@ -147,6 +147,29 @@ def test_a_newer_trajectory_takes_the_place_of_the_one_before(graph: Any) -> Non
 
 
 @NEEDS_ACTIONS
+def test_a_trajectory_sent_in_motion_begins_with_the_velocity_of_the_joints(graph: Any) -> None:
+    bench = ArmBench(graph)
+    bench.move(("arm_pan_joint",), [1.0], 5.0, "first")
+    graph.spin_until(lambda: bench.arm.joints["arm_pan_joint"] > 0.4, "motion")
+    onward = ArmPath(("arm_pan_joint",), np.array([[1.2]]), np.array([3.0]))
+    bench.trajectories.publish(encode_arm_trajectory(TYPES, 0, onward, label="onward"))
+    assert bench.result("onward").outcome is Outcome.SUCCEEDED
+    goal = bench.arm.goals[1]
+    assert goal.times[0] == 0.0
+    pan = ARM.index("arm_pan_joint")
+    # The first motion is p = 0.1 + 0.9 s^2 (3 - 2 s), from rest to rest, s being time / 5 s.
+    s = np.linspace(0.0, 1.0, 10_001)
+    there = np.argmin(np.abs(0.1 + 0.9 * s**2 * (3.0 - 2.0 * s) - goal.positions[0, pan]))
+    speed = 0.9 * 6.0 * s[there] * (1.0 - s[there]) / 5.0
+    assert speed > 0.2
+    assert goal.velocities[0, pan] == pytest.approx(speed, rel=0.3)
+    np.testing.assert_allclose(np.delete(goal.velocities[0], pan), 0.0, atol=1e-9)
+    bench.move(("arm_pan_joint",), [0.5], 3.0, "from rest")
+    assert bench.result("from rest").outcome is Outcome.SUCCEEDED
+    np.testing.assert_allclose(bench.arm.goals[2].velocities[0], 0.0)
+
+
+@NEEDS_ACTIONS
 @pytest.mark.parametrize("way", ["empty trajectory", "service", "end of the node"])
 def test_a_stop_cancels_the_goals(graph: Any, way: str) -> None:
     bench = ArmBench(graph)

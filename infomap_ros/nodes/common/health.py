@@ -9,12 +9,13 @@ from __future__ import annotations
 import threading
 import time
 from collections import Counter, deque
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass, field
 
 STALE_AFTER = 5.0  # [s]
 WARNING_PERIOD = 5.0  # [s], between two log lines on the same reason
 _LONGEST_DETAIL = 500  # letters that are told of a drop
+_MOST_JOINTS = 1000  # whose names are known
 _WINDOW = 50  # arrivals from which a rate is computed
 
 
@@ -71,6 +72,9 @@ class Health:
 
     Args:
         clock: monotonic time [s].
+
+    Attributes:
+        needed_joints: those that the node cannot work without.
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
@@ -84,6 +88,8 @@ class Health:
         self._reported: Counter[str] = Counter()
         self._told_missing = -WARNING_PERIOD
         self._condition = ""
+        self._joints: dict[str, float] = {}
+        self.needed_joints: Collection[str] = ()
         self._outputs = Stream("", required=False, latched=False, since=clock())
 
     def watch(self, topic: str, *, required: bool, latched: bool = False) -> None:
@@ -97,6 +103,19 @@ class Health:
             stream.arrivals.append(self._clock())
             stream.count += 1
             stream.has_stopped = False
+
+    def heard_of(self, joints: Iterable[str]) -> None:
+        """A joint state told of these."""
+        with self._lock:
+            self._joints.update(dict.fromkeys(joints, self._clock()))
+            if len(self._joints) > _MOST_JOINTS:
+                by_age = sorted(self._joints.items(), key=lambda item: item[1])
+                self._joints = dict(by_age[-_MOST_JOINTS:])
+
+    def _silent_joints(self) -> list[str]:
+        """Joints that nothing was told of for long, while others go on."""
+        newest = max(self._joints.values(), default=0.0)
+        return [name for name, told in self._joints.items() if newest - told >= STALE_AFTER]
 
     def produced(self) -> None:
         """The node has made one of its results."""
@@ -174,6 +193,8 @@ class Health:
             recent = self._drops - self._reported
             self._reported = self._drops.copy()
             condition = [self._condition] if self._condition else []
+            silent = set(self._silent_joints()).intersection(self.needed_joints)
+            condition += [f"nothing is told of joint {name} any more" for name in sorted(silent)]
         dropped = [f"dropped {count}: {reason}" for reason, count in recent.items()]
         return condition + [text for text in found if text is not None] + dropped
 
@@ -187,6 +208,8 @@ class Health:
                 figures[f"{stream.topic} count"] = str(stream.count)
                 age = f"{stream.age(now):.2f}" if stream.count else "never"
                 figures[f"{stream.topic} age [s]"] = age
+            if silent := self._silent_joints():
+                figures["silent joints"] = as_line(", ".join(silent))
             figures["results"] = str(self._outputs.count)
             figures["results rate [Hz]"] = f"{self._outputs.rate(now):.2f}"
             for reason, count in self._drops.items():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 
 from rclpy.action import ActionClient
 from sensor_msgs.msg import JointState
@@ -53,7 +54,7 @@ class JointListener:
     """
 
     def __init__(self, node: MonitoredNode) -> None:
-        self._description = node.config(RobotTrackerConfig).robot
+        self._description, self._health = node.config(RobotTrackerConfig).robot, node.health
         self.positions: dict[str, float] = {}
         self.velocities: dict[str, float] = {}
         self._stamps: dict[str, int] = {}
@@ -78,6 +79,7 @@ class JointListener:
 
     def _on_joints(self, message: JointState) -> None:
         record = decode_joint_state(message)
+        self._health.heard_of(record.names)
         for index, name in enumerate(record.names):
             position, before = float(record.positions[index]), self.positions.get(name)
             passed = (record.stamp - self._stamps.get(name, record.stamp)) / _NANOSECONDS
@@ -138,7 +140,15 @@ class ArmDriver:
             self.stop("a newer command could not be carried out")
             order.end(Outcome.FAILED, str(error))
             raise
+        if self.is_active:
+            parts = [self._begun_in_motion(part) for part in parts]
         self._carrier.start(order, parts)
+
+    def _begun_in_motion(self, part: ControllerTrajectory) -> ControllerTrajectory:
+        """The part from joints that move: at its first knot they have the velocity of now."""
+        velocities = part.velocities.copy()
+        velocities[0] = [self._joints.velocities.get(name, 0.0) for name in part.joints]
+        return replace(part, velocities=velocities)
 
 
 def action_of(controller: str) -> str:

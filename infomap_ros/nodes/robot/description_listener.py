@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import math
+import time
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Collection, Iterable, Mapping
 
 import numpy as np
+from rclpy.clock import Clock, ClockType
 from rclpy.impl.rcutils_logger import RcutilsLogger
 from scipy.spatial.transform import Rotation
 from std_msgs.msg import String
@@ -105,6 +108,9 @@ def _attach(root: ET.Element, edge: TransformRecord) -> None:
     ET.SubElement(joint, "origin", texts)
 
 
+_PERIOD = 1.0  # [s]
+
+
 class DescriptionListener:
     """Listens to robot_description and /tf_static.
 
@@ -136,9 +142,10 @@ class DescriptionListener:
         self._links: frozenset[str] = frozenset()
         self._told: list[TransformRecord] | None = None
         self._wanted: set[str] = set()
-        self._edges: dict[str, TransformRecord] = {}
+        self._next = -math.inf  # when an edge may change what was told [s]
         node.listen(String, "robot_description", self._on_text, qos.latched(), required=required)
         self.frames = FrameListener(node, self._on_edge)
+        node.create_timer(_PERIOD, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def want(self, frame: str) -> None:
         """Have a frame in the description, as soon as tf tells where it is."""
@@ -154,18 +161,29 @@ class DescriptionListener:
 
     def _on_edge(self, edge: TransformRecord) -> None:
         if edge.is_static:
-            self._edges[edge.child_frame_id] = edge
-            self._tell()
+            self._look()
         self._pass_on(edge)
 
-    def _tell(self) -> None:
-        """Tell the description, where it is another than was told last."""
+    def _look(self) -> None:
+        """See whether tf tells another description, at most once a second: publishers may differ.
+
+        What reads the description, and begins anew, takes longer than the next transform does.
+        """
+        if time.monotonic() >= self._next and self._tell():
+            self._next = time.monotonic() + _PERIOD
+
+    def _tell(self) -> bool:
+        """Tell the description, where it is another than was told last; whether it is."""
         if self._text is None:
-            return
-        chain = fixed_chains(self._edges, sorted(self._wanted), self._links)
-        if self._told is None or not _are_same(chain, self._told):
-            self._told = chain
-            self._on_description(with_fixed_frames(self._text, chain))
+            return False
+        chain = fixed_chains(self.frames.static, sorted(self._wanted), self._links)
+        for edge in chain:
+            self.frames.keep(edge)
+        if self._told is not None and _are_same(chain, self._told):
+            return False
+        self._told = chain
+        self._on_description(with_fixed_frames(self._text, chain))
+        return True
 
 
 def warn_of_left_out(log: RcutilsLogger, robot: RobotModel) -> None:

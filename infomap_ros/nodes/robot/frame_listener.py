@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import OrderedDict
 from collections.abc import Callable
 from functools import partial
 from typing import Any
@@ -16,7 +17,7 @@ from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.common.message_types import message_class
 
-_MOST_FRAMES = 10_000  # names that are known; a robot has some hundreds
+_MOST_FRAMES = 10_000  # that are known; a robot has some hundreds
 _MOST_AT_ONCE = 1000  # of one message
 
 
@@ -28,11 +29,15 @@ class FrameListener:
     Args:
         node: that listens.
         on_edge: told of each transform.
+
+    Attributes:
+        static: fixed transforms by their children, in the order in which they were told or used: of
+            too many the first is forgotten.
     """
 
     def __init__(self, node: MonitoredNode, on_edge: Callable[[TransformRecord], None]) -> None:
         self._node, self._on_edge = node, on_edge
-        self._children: set[str] = set()
+        self.static: OrderedDict[str, TransformRecord] = OrderedDict()
         self._moving: Subscription | None = None
         self._listen("/tf_static", qos.latched(depth=100), is_static=True)
 
@@ -62,7 +67,13 @@ class FrameListener:
             text = f"has {len(edges)} transforms, at most {_MOST_AT_ONCE} are heard at once"
             raise MalformedMessageError(TF, text)
         for edge in edges:
-            if len(self._children) < _MOST_FRAMES:
-                self._children.add(edge.child_frame_id)
-            if edge.child_frame_id in self._children:
-                self._on_edge(edge)
+            if edge.is_static:
+                self.keep(edge)
+            self._on_edge(edge)
+
+    def keep(self, edge: TransformRecord) -> None:
+        """Note that a fixed transform was told, or is used."""
+        self.static[edge.child_frame_id] = edge
+        self.static.move_to_end(edge.child_frame_id)
+        if len(self.static) > _MOST_FRAMES:
+            self.static.popitem(last=False)

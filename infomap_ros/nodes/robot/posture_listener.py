@@ -54,7 +54,6 @@ class PostureListener:
         self._motion: RobotMotion | None = None
         self._camera_frame = self._frames.camera_frame
         self._early: deque[OdometryRecord | JointStateRecord] = deque(maxlen=_MOST_EARLY)
-        self._edges: dict[str, TransformRecord] = {}
         self._joints: JointStateRecord | None = None
         self._newest = -1
         self._gate: ClockGate[OdometryRecord] = ClockGate(node.drop, time.monotonic)
@@ -140,18 +139,17 @@ class PostureListener:
 
     def _on_joints(self, message: JointState) -> None:
         self._joints = decode_joint_state(message)
+        self._node.health.heard_of(self._joints.names)
         self._add(self._joints)
 
     def _on_edge(self, edge: TransformRecord) -> None:
         """Transforms tell of odometry, and of the camera where the description does not."""
         self._odometry.add(edge)
-        if edge.is_static:
-            self._edges[edge.child_frame_id] = edge
-        elif self._motion is None or self._is_on_robot:
+        if not edge.is_static and (self._motion is None or self._is_on_robot):
             return
         if self._motion is not None:
             self._motion.add(edge)
-        elif self._camera_frame in self._edges:
+        elif self._camera_frame in self._texts.frames.static:
             self._begin()
 
     @property
@@ -182,12 +180,12 @@ class PostureListener:
         self._newest = -1
         if not self._camera_frame:
             return
-        is_on_tf = self._camera_frame in self._edges
+        fixed = self._texts.frames.static
         if not self._is_on_robot:
             self._texts.frames.hear_moving()
-        if self._is_on_robot or is_on_tf:
+        if self._is_on_robot or self._camera_frame in fixed:
             self._useless = ""
-            edges = () if self._is_on_robot else self._edges.values()
+            edges = () if self._is_on_robot else fixed.values()
             self._motion = RobotMotion(self._camera_frame, self._robot, edges, self._buffer)
             while self._early:
                 self._motion.add(self._early.popleft())

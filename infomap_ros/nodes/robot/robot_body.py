@@ -79,5 +79,7 @@ class BodyListener:
         warn_of_left_out(log, robot)
 
     def _on_joints(self, message: JointState) -> None:
-        self._body.add(decode_joint_state(message))
+        joints = decode_joint_state(message)
+        self._node.health.heard_of(joints.names)
+        self._body.add(joints)
         self._on_news()

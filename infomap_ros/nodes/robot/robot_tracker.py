@@ -94,7 +94,7 @@ class RobotTracker:
         self._read: tuple[str, str] | None = None
         self._newest_pose: PoseRecord | None = None
         self._lockstep: LockstepTime | None = None
-        self._log = node.get_logger()
+        self._log, self._health = node.get_logger(), node.health
         node.listen(
             PoseWithCovarianceStamped,
             "camera_pose",
@@ -274,7 +274,9 @@ class RobotTracker:
         self._add(pose)
 
     def _on_joints(self, message: JointState) -> None:
-        self._add(decode_joint_state(message))
+        joints = decode_joint_state(message)
+        self._health.heard_of(joints.names)
+        self._add(joints)
 
     def _on_edge(self, edge: TransformRecord) -> None:
         self._odometries.add(edge)
@@ -325,6 +327,7 @@ class RobotTracker:
             self._description, self._camera_frame, config.base_frame, config.arm_joints
         )
         self._tracked.describe(robot, self._camera_frame)
+        self._health.needed_joints = robot.joints_above((robot.base_frame, robot.camera_frame))
         self._read = wanted
         self._log.info(f"robot '{robot.name}', camera in '{self._camera_frame}'")
         warn_of_left_out(self._log, robot)

@@ -35,22 +35,17 @@ class TransformTree:
         self._config = config or PoseBufferConfig()
         self._edges: OrderedDict[str, _Edge] = OrderedDict()  # by their children, last used last
 
-    @property
-    def frames(self) -> frozenset[str]:
-        """Names of all frames."""
-        return frozenset(self._edges) | {edge.frame_id for edge in tuple(self._edges.values())}
-
     def add_transform(self, edge: TransformRecord) -> None:
         """Keep an edge of tf.
 
         Raises:
             FrameError: the child moves and has had another parent.
         """
+        child, parent = edge.child_frame_id, edge.frame_id
         if edge.is_static:
-            self._keep(edge.child_frame_id, _Edge(edge.frame_id, edge.transform))
-            return
-        pose = PoseRecord(edge.stamp, edge.frame_id, edge.transform, None, edge.child_frame_id)
-        self.add_pose(pose, edge.child_frame_id)
+            self._keep(child, _Edge(parent, edge.transform))
+        else:
+            self.add_pose(PoseRecord(edge.stamp, parent, edge.transform, None, child), child)
 
     def add_pose(self, pose: PoseRecord, child: str) -> bool:
         """Keep a pose of frame `child`, which takes the place of a fixed edge.

@@ -18,7 +18,6 @@ from pathlib import Path
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
-from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from std_srvs.srv import Trigger
 
@@ -93,10 +92,8 @@ class TargetSight:
     """
 
     def __init__(self, node: MonitoredNode, tracker: RobotTracker) -> None:
-        self._tracker, self._progress_timeout = (
-            tracker,
-            node.config(CommandedRobotConfig).progress_timeout,
-        )
+        self._tracker = tracker
+        self._progress_timeout = node.config(CommandedRobotConfig).progress_timeout
         self._last = LocalizationState(0, "", "")
         self._looks = 0
         profile = qos.latched()
@@ -191,9 +188,9 @@ class ExplorerNode(MonitoredNode):
         self._robot = CommandedRobot(link, self.config(CommandedRobotConfig))
         self._teammates = TeammatesNear(self)
         self._sight = TargetSight(self, self._tracker)
-        self._planner = RemotePlanner(self, self._on_failed_view, self._stopped)
-        self._mission_file = Path(self._config.mission_file).absolute()
         self._failed_views: list[FailedView] = []
+        self._planner = RemotePlanner(self, self._failed_views.append, self._stopped)
+        self._mission_file = Path(self._config.mission_file).absolute()
         self._status = self.advertise(DiagnosticStatus, "exploration_status", qos.latched())
         orders: dict[str, Callable[[], str]] = {
             "start": self._start,
@@ -204,8 +201,7 @@ class ExplorerNode(MonitoredNode):
         }
         for name, order in orders.items():
             self.create_service(Trigger, f"~/{name}", partial(self._serve, order))
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(_STATUS_PERIOD, self._publish_status, clock=steady)
+        self.repeat(_STATUS_PERIOD, self._publish_status)
         if self._config.autostart:
             self.get_logger().info(self._start())
 
@@ -326,7 +322,7 @@ class ExplorerNode(MonitoredNode):
         """Whether everything is there that a mission needs; says what is not."""
         assert self._exploration is not None
         missing = ""
-        if not self._tracker.is_complete():
+        if self._tracker.known_state() is None:
             missing = "camera_pose, joint_states, robot_description and left/camera_info"
         elif not self._robot.sees:
             missing = "map_updates"
@@ -367,9 +363,6 @@ class ExplorerNode(MonitoredNode):
         self._status.publish(status_message(exploration, self._failed_views))
         if not self._stopped():
             self._status.wait_for_all_acked(_ACKNOWLEDGED)
-
-    def _on_failed_view(self, view: FailedView) -> None:
-        self._failed_views.append(view)
 
     def _publish_status(self) -> None:
         """Say what is being done; next_best_view learns from it what failed and where home is."""

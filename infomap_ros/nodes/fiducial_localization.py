@@ -21,7 +21,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rclpy.clock import Clock, ClockType
 
 from infomap_ros.exploration.team.teammate_places import TeammatePlacesConfig
 from infomap_ros.geometry import PoseRecord
@@ -188,8 +187,7 @@ class FiducialLocalizationNode(MonitoredNode):
         offer_order(self, "~/reset", self._worker, self._reset)
         if self._path is not None:
             self._writer = self.start_worker(1)
-            steady = Clock(clock_type=ClockType.STEADY_TIME)
-            self.create_timer(config.save_period, self._save_when_idle, clock=steady)
+            self.repeat(config.save_period, self._save_when_idle)
 
     def _make_estimator(self) -> ViewEstimator:
         if self._config.source == "depth":

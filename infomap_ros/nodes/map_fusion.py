@@ -23,7 +23,6 @@ import numpy as np
 from nav_msgs.msg import Path
 from nav_msgs.srv import GetMap
 from numpy.typing import NDArray
-from rclpy.clock import Clock, ClockType
 from sensor_msgs.msg import PointCloud2
 
 from infomap_ros.errors import FrameError
@@ -89,7 +88,7 @@ def offer_map(node: MonitoredNode, keeper: MapKeeper, worker: Worker) -> None:
         node.get_logger().info(keeper.clear_region(*corners))
 
     offer_service(node, GetMap, PROJECTED_MAP, worker, partial(give, PROJECTED_MAP))
-    if not keeper.has_octomap:
+    if not keeper.outputs.has_octomap:
         return
     for topic in (OCTOMAP_BINARY, OCTOMAP_FULL):
         kind = message_class("octomap_msgs/srv/GetOctomap")
@@ -233,11 +232,10 @@ class MapFusionNode(MonitoredNode):
             offer_order(self, name, self._worker, partial(self._carry_out, order))
         offer_map(self, keeper, self._worker)
         offer_order(self, "~/team_hash", self._worker, keeper.team.account)
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(keeper.pictures_period, self._publish_pictures, clock=steady)
-        self.create_timer(_REPEAT_PERIOD, self._publish_more, clock=steady)
+        self.repeat(keeper.outputs.pictures_period, self._publish_pictures)
+        self.repeat(_REPEAT_PERIOD, self._publish_more)
         if self._config.autosave_period:
-            self.create_timer(self._config.autosave_period, self._autosave, clock=steady)
+            self.repeat(self._config.autosave_period, self._autosave)
 
     def _on_scan(self, scan: Scan[PointCloud2]) -> None:
         self._worker.submit(partial(self._fuse, scan))

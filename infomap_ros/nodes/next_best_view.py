@@ -16,7 +16,6 @@ from functools import partial
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
-from rclpy.clock import Clock, ClockType
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Empty
 from visualization_msgs.msg import Marker, MarkerArray
@@ -278,9 +277,7 @@ class NextBestViewNode(MonitoredNode):
         offer_order(self, "~/plan_back", self._worker, lambda: self._plan_way(self._news.last_look))
         offer_order(self, "~/plan_arm", self._worker, self._plan_arm)
         self._working = self.advertise(Empty, f"~/{WORKING}", qos.stream())
-        self.create_timer(
-            1.0, self._say_that_it_works, clock=Clock(clock_type=ClockType.STEADY_TIME)
-        )
+        self.repeat(1.0, self._say_that_it_works)
         offer_order(self, "~/plan_search", self._worker, SearchPlans(self, self._tracker).plan)
 
     def _say_that_it_works(self) -> None:

@@ -14,7 +14,6 @@ from functools import partial
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
-from rclpy.clock import Clock, ClockType
 from std_srvs.srv import Trigger
 
 from infomap_ros.errors import ConfigError
@@ -63,7 +62,7 @@ class RobotDriverNode(MonitoredNode):
         if config.base != "none":
             self._drivers.append(BaseDriver(self, self._report))
         self._watchdog = Watchdog(self._reach(config)) if is_watched else None
-        self.create_timer(BEAT, self._beat, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self.repeat(BEAT, self._beat)
         self.create_service(Trigger, "~/stop", self._on_stop)
         self.get_logger().info(f"arm by {config.arm}, base by {config.base}")
 

@@ -20,7 +20,6 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Path
 from rclpy.client import Client
-from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.task import Future
 from std_msgs.msg import String
@@ -246,14 +245,13 @@ class WebViewerNode(MonitoredNode):
         who = self.config(TeamIdentityConfig)
         memory = self.config(AgentBoardConfig)
         self._board = AgentBoard(who.robot_id, None, memory, who.team, who.read_key())
-        listen_to_agents(self, frame, self._hear)
+        listen_to_agents(self, frame, lambda text: self._board.hear(text, time.monotonic()))
         PlanListener(self, self._page, _PLANNER, self._camera)
         self._worker = self.start_worker(1)
         self._map = MapListener(self, self._worker, required=False, on_update=self._note_change)
         self._drawn, self._was_watched = float("-inf"), False
         self._has_changed = self._is_drawing = False
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(_PLACE_PERIOD, self._show_places, clock=steady)
+        self.repeat(_PLACE_PERIOD, self._show_places)
         self._address = self.advertise(String, "~/address", qos.latched())
         self._address.publish(String(data=self._page.address))
         self.get_logger().info(f"watch the run at {self._page.address}")
@@ -268,9 +266,6 @@ class WebViewerNode(MonitoredNode):
             return self._tracker.calibrations[0].rectified_camera()
         except InfomapError:
             return None
-
-    def _hear(self, text: str) -> None:
-        self._board.hear(text, time.monotonic())
 
     def _note_change(self) -> None:
         self._has_changed = True

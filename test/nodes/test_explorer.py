@@ -297,7 +297,7 @@ def lose_the_pose(stage: Stage) -> None:
     """The robot's clock is set back, and its joints are silent since."""
     stage.rover.stamp -= 1_000_000_000_000
     stage.rover.has_joints = False
-    stage.graph.spin_until(lambda: not stage.node._tracker.is_complete(), "loss of the pose")
+    stage.graph.spin_until(lambda: stage.node._tracker.known_state() is None, "loss of the pose")
 
 
 @pytest.mark.parametrize("order", ["stop", "end of the node"])

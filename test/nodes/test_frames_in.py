@@ -168,7 +168,7 @@ def test_a_planner_takes_the_cameras_frame_from_tf(graph: Any) -> None:
     state = JointStateRecord(SECOND, "", ("lift",), np.array([0.3]))
     joints.publish(encode_joint_state(TYPES, state))
 
-    graph.spin_until(lambda: node._tracker.is_described, "the robot")
+    graph.spin_until(lambda: node._tracker._tracked.is_described, "the robot")
 
     found = node._tracker.robot.forward_kinematics({"lift": 0.3}, OPTICAL)
     np.testing.assert_allclose(found[:3, 3], [0.2, 0.0, 0.8], atol=1e-9)

@@ -396,7 +396,7 @@ class VelocityBench(Bench):
         super().__init__(graph, arm="none", **parameters)
         carrier = self.node._drivers[0]._carrier
         graph.connect(self.paths, carrier._velocities)
-        graph.spin_until(lambda: carrier._tracker.is_complete(), "pose")
+        graph.spin_until(lambda: carrier._tracker.known_state() is not None, "pose")
 
 
 FAST = {"max_speed": 1.0, "max_turn_rate": 2.0, "acceleration": 4.0, "turn_acceleration": 8.0}

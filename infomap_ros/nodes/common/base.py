@@ -107,8 +107,11 @@ class MonitoredNode(Node):
             self.lockstep = LockstepReporter(self, self._rests)
         self._advertised: list[Publisher] = []
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", qos.stream())
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(DIAGNOSTICS_PERIOD, self._publish_diagnostics, clock=steady)
+        self.repeat(DIAGNOSTICS_PERIOD, self._publish_diagnostics)
+
+    def repeat(self, period: float, action: Callable[[], None]) -> None:
+        """Do something each so many seconds [s], of a clock that nobody sets."""
+        self.create_timer(period, action, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def config(self, kind: type[Config]) -> Config:
         """The validated configuration of one of the classes in `CONFIGS`, as it is now."""
@@ -245,17 +248,14 @@ class MonitoredNode(Node):
             last_job: how long the node's end waits for the job at hand [s].
         """
         name, overflow = self.get_name(), partial(self.drop, "too slow")
-        worker = Worker(name, capacity, overflow, last_job, self._report_rest)
+        rest = (lambda: None) if self.lockstep is None else self.lockstep.report
+        worker = Worker(name, capacity, overflow, last_job, rest)
         self._workers.append(worker)
         return worker
 
     def _rests(self) -> bool:
         """Whether neither a callback nor a worker is at work."""
         return not self._is_in_callback and not any(worker.waiting for worker in self._workers)
-
-    def _report_rest(self) -> None:
-        if self.lockstep is not None:
-            self.lockstep.report()
 
     @property
     def motion_clock(self) -> Clock:

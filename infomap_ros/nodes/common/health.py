@@ -72,9 +72,6 @@ class Health:
 
     Args:
         clock: monotonic time [s].
-
-    Attributes:
-        needed_joints: those that the node cannot work without.
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
@@ -89,7 +86,7 @@ class Health:
         self._told_missing = -WARNING_PERIOD
         self._condition = ""
         self._joints: dict[str, float] = {}
-        self.needed_joints: Collection[str] = ()
+        self.needed_joints: Collection[str] = ()  # without which the node cannot work
         self._outputs = Stream("", required=False, latched=False, since=clock())
 
     def watch(self, topic: str, *, required: bool, latched: bool = False) -> None:
@@ -107,10 +104,9 @@ class Health:
     def heard_of(self, joints: Iterable[str]) -> None:
         """A joint state told of these."""
         with self._lock:
-            self._joints.update(dict.fromkeys(joints, self._clock()))
             if len(self._joints) > _MOST_JOINTS:
-                by_age = sorted(self._joints.items(), key=lambda item: item[1])
-                self._joints = dict(by_age[-_MOST_JOINTS:])
+                self._joints.clear()
+            self._joints |= dict.fromkeys(joints, self._clock())
 
     def _silent_joints(self) -> list[str]:
         """Joints that nothing was told of for long, while others go on."""

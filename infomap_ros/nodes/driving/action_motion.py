@@ -51,7 +51,7 @@ class ActionMotions:
             name: node.create_client(CancelGoal, f"{name}/_action/cancel_goal") for name in actions
         }
         self._new = set(self._cancels)  # servers that nothing was asked of yet
-        node.create_timer(_PERIOD, self._check, clock=self._steady)
+        node.repeat(_PERIOD, self._check)
 
     def start(self, order: Order, stages: Sequence[Sequence[GoalRequest]]) -> None:
         """Begin a motion.

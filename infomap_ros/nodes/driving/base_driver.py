@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from nav_msgs.msg import Path
@@ -33,23 +33,6 @@ _SPACING = 0.5  # [m] of the poses that a navigator is sent through: it plans be
 _NANOSECONDS = 1_000_000_000
 
 
-class Carrier(Protocol):
-    """What drives the base along one path at a time."""
-
-    @property
-    def is_active(self) -> bool:
-        """Whether a motion has not ended."""
-
-    def follow(self, order: Order, command: BasePathCommand) -> None:
-        """Begin a path, in place of the one before."""
-
-    def stop(self, cause: str) -> None:
-        """Stop, and say why."""
-
-    def halt(self) -> None:
-        """Stop before this node ends."""
-
-
 class BaseDriver:
     """Has the base follow paths and reports what became of them.
 
@@ -64,7 +47,7 @@ class BaseDriver:
     def __init__(self, node: MonitoredNode, report: Callable[[MotionResult], None]) -> None:
         self._report = report
         is_nav2 = node.config(RobotDriverConfig).base in ("follow_path", "navigate_through_poses")
-        self._carrier: Carrier = _Nav2(node) if is_nav2 else VelocityBase(node)
+        self._carrier: _Nav2 | VelocityBase = _Nav2(node) if is_nav2 else VelocityBase(node)
         node.listen(Path, BASE, self._on_path, qos.stream(), required=False)
 
     def stop(self, cause: str) -> None:

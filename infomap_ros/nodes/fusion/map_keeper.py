@@ -76,8 +76,8 @@ class MapKeeper:
     def __init__(self, node: MonitoredNode, on_wanted: Callable[[], object]) -> None:
         self._node = node
         self._config = node.config(MapKeeperConfig)
-        self._outputs, self._updates = MapOutputs(node, on_wanted), UpdateStream(node)
-        self.team = TeamMap(node, self._updates, self._outputs.changed)
+        self.outputs, self._updates = MapOutputs(node, on_wanted), UpdateStream(node)
+        self.team = TeamMap(node, self._updates, self.outputs.changed)
         self._path = Path(self._config.map_file or _UNNAMED).absolute()
         self._is_saved, self._is_ours = True, False
         self._builder = MapBuilder(
@@ -91,11 +91,6 @@ class MapKeeper:
     @property
     def _map(self) -> VoxelMap:
         return self._builder.map
-
-    @property
-    def pictures_period(self) -> float:
-        """Shortest time between two pictures of the map [s]."""
-        return self._outputs.pictures_period
 
     def prepare(self) -> None:
         """Compile the kernels, and load the map file if the work is to be resumed.
@@ -175,11 +170,6 @@ class MapKeeper:
         """Publish more of what subscribers of map_updates wait for."""
         self._updates.publish(self._map, self._stamp, always=False)
 
-    @property
-    def has_octomap(self) -> bool:
-        """Whether there are pictures as octrees."""
-        return self._outputs.has_octomap
-
     def picture(self, topic: str) -> Any:
         """The message of a topic of `MapOutputs` for the map as it is now.
 
@@ -187,7 +177,7 @@ class MapKeeper:
             InvalidInputError: the map reaches too far for an octree.
         """
         shown = self._shown
-        return self._outputs.picture(topic, shown, self._shown_stamp(shown))
+        return self.outputs.picture(topic, shown, self._shown_stamp(shown))
 
     def publish_pictures(self) -> None:
         """Publish the pictures of the map that are wanted and out of date."""
@@ -198,7 +188,7 @@ class MapKeeper:
         self._node.health.note("scans kept", str(len(store)))
         self._node.health.note("scans memory [bytes]", str(store.memory_bytes()))
         self._node.health.note("known voxels", str(shown.known_voxels))
-        self._outputs.publish_pictures(shown, self._shown_stamp(shown))
+        self.outputs.publish_pictures(shown, self._shown_stamp(shown))
 
     @property
     def _shown(self) -> VoxelMap:
@@ -320,14 +310,14 @@ class MapKeeper:
     def _tell_change(self) -> None:
         """The map has changed: it is not saved, its pictures are old, and listeners are told."""
         self._is_saved = False
-        self._outputs.changed()
+        self.outputs.changed()
         self._updates.publish(self._map, self._stamp)
 
     def _replace_by(self, other: VoxelMap) -> None:
         self._is_saved = False
         self._updates.replace(self._map)
         self._builder.replace(_tracked(other))
-        self._outputs.changed()
+        self.outputs.changed()
         self.publish_more()
 
     def _keep_scans_if_wanted(self) -> None:

@@ -11,7 +11,6 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import Point, PoseWithCovarianceStamped
 from nav_msgs.msg import Path
 from numpy.typing import NDArray
-from rclpy.clock import Clock, ClockType
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
@@ -145,8 +144,7 @@ class CameraRoot:
         self._is_placed = self._is_needed = False
         self._since = math.inf
         self._frames = FrameListener(node, self._on_edge)
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        node.create_timer(_LOOK_PERIOD, self._look, clock=steady)
+        node.repeat(_LOOK_PERIOD, self._look)
 
     def note_own(self, child: str) -> None:
         """This node itself places a frame in the map."""

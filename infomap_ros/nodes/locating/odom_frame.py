@@ -12,8 +12,6 @@ import threading
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from rclpy.clock import Clock, ClockType
-
 from infomap_ros.geometry import TransformRecord
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.messages import TF, encode_transforms
@@ -91,7 +89,7 @@ class OdomFrameBroadcaster:
         self._lock = threading.Lock()
         self._edge: TransformRecord | None = None
         self._begin = self._told = 0  # [ns]
-        node.create_timer(PERIOD, self._repeat, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        node.repeat(PERIOD, self._repeat)
 
     def update(self, edge: TransformRecord) -> None:
         """Publish a transform, and from now on this one.

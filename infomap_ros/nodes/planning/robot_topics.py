@@ -24,12 +24,6 @@ from infomap_ros.nodes.common.message_types import RclpyMessageTypes
 from infomap_ros.nodes.driving.motion_result import TOPIC, MotionResult, Outcome, read_motion_result
 from infomap_ros.nodes.robot.robot_tracker import RobotTracker, RobotTrackerConfig
 
-
-def path_name(stamp: int) -> str:
-    """How a path with this stamp [ns] is called here."""
-    return f"path {stamp}"
-
-
 _KEPT = 20  # results; one motion is commanded at a time
 
 
@@ -54,9 +48,9 @@ class MotionResults:
         return bool(self._node.count_publishers(self._topic))
 
     def of(self, motion: str) -> MotionResult | None:
-        """The result of a path or of a trajectory, by `path_name` or label; None as yet."""
+        """The result of a path, by its stamp, or of a trajectory, by its label; None as yet."""
         with self._lock:
-            found = (r for r in self._newest if motion in (r.label, path_name(r.stamp)))
+            found = (r for r in self._newest if motion in (r.label, f"path {r.stamp}"))
             return next(found, None)
 
     def _on_result(self, message: DiagnosticArray) -> None:
@@ -110,7 +104,7 @@ class RobotTopics:
         """See `RobotLink`."""
         frame, now = self._tracker.odom_frame if in_odometry else self._map_frame, self._now()
         self._paths.publish(encode_base_path(self._types, now, frame, poses))
-        return path_name(now)
+        return f"path {now}"
 
     def send_arm_path(self, path: ArmPath) -> str:
         """See `RobotLink`."""

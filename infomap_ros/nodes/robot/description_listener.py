@@ -7,8 +7,6 @@ import time
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Collection, Iterable, Mapping
 
-import numpy as np
-from rclpy.clock import Clock, ClockType
 from rclpy.impl.rcutils_logger import RcutilsLogger
 from scipy.spatial.transform import Rotation
 from std_msgs.msg import String
@@ -38,32 +36,12 @@ def with_prefix(description: str, prefix: str) -> str:
     return ET.tostring(root, encoding="unicode")
 
 
-def links_of(description: str) -> frozenset[str]:
-    """Names of the links of a URDF; none where it cannot be read."""
-    root = _read(description)
-    links = () if root is None else root.iterfind("link")
-    return frozenset(link.get("name", "") for link in links)
-
-
-def fixed_chains(
-    edges: Mapping[str, TransformRecord], wanted: Iterable[str], links: Collection[str]
-) -> list[TransformRecord]:
-    """The fixed transforms from links of a robot down to frames, where they lead there.
-
-    Args:
-        edges: fixed transforms, each by its child frame.
-        wanted: the frames.
-        links: names of the robot's links.
-    """
-    return [edge for frame in wanted for edge in _chain(frame, edges, links)]
-
-
 def with_fixed_frames(description: str, chains: Iterable[TransformRecord]) -> str:
     """A URDF with links at frames that only tf tells, such as a camera's optical frame.
 
     Args:
         description: text of the URDF; returned as it is where it cannot be read or lacks nothing.
-        chains: of `fixed_chains`.
+        chains: the fixed transforms from links of the robot down to these frames.
     """
     added = {edge.child_frame_id: edge for edge in chains}
     root = _read(description) if added else None
@@ -139,13 +117,13 @@ class DescriptionListener:
         self._on_description, self._prefix, self._pass_on = on_description, prefix, on_edge
         self.published = ""
         self._text: str | None = None
-        self._links: frozenset[str] = frozenset()
-        self._told: list[TransformRecord] | None = None
+        self._links: Collection[str] = ()
+        self._told: list[tuple[str, str, bytes]] | None = None
         self._wanted: set[str] = set()
         self._next = -math.inf  # when an edge may change what was told [s]
         node.listen(String, "robot_description", self._on_text, qos.latched(), required=required)
         self.frames = FrameListener(node, self._on_edge)
-        node.create_timer(_PERIOD, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        node.repeat(_PERIOD, self._look)
 
     def want(self, frame: str) -> None:
         """Have a frame in the description, as soon as tf tells where it is."""
@@ -156,7 +134,9 @@ class DescriptionListener:
     def _on_text(self, message: String) -> None:
         self.published = decode_text(message).text
         self._text, self._told = with_prefix(self.published, self._prefix), None
-        self._links = links_of(self._text)
+        root = _read(self._text)
+        links = () if root is None else root.iterfind("link")
+        self._links = {link.get("name", "") for link in links}
         self._tell()
 
     def _on_edge(self, edge: TransformRecord) -> None:
@@ -165,37 +145,27 @@ class DescriptionListener:
         self._pass_on(edge)
 
     def _look(self) -> None:
-        """See whether tf tells another description, at most once a second: publishers may differ.
+        """See whether tf tells another one, at most once a second: publishers may differ."""
+        if time.monotonic() >= self._next:
+            self._tell()
 
-        What reads the description, and begins anew, takes longer than the next transform does.
-        """
-        if time.monotonic() >= self._next and self._tell():
-            self._next = time.monotonic() + _PERIOD
-
-    def _tell(self) -> bool:
-        """Tell the description, where it is another than was told last; whether it is."""
+    def _tell(self) -> None:
+        """Tell the description, where it is another than was told last."""
         if self._text is None:
-            return False
-        chain = fixed_chains(self.frames.static, sorted(self._wanted), self._links)
+            return
+        edges = self.frames.static
+        chain = [e for frame in sorted(self._wanted) for e in _chain(frame, edges, self._links)]
         for edge in chain:
             self.frames.keep(edge)
-        if self._told is not None and _are_same(chain, self._told):
-            return False
-        self._told = chain
-        self._on_description(with_fixed_frames(self._text, chain))
-        return True
+        told = self._told
+        self._told = [(e.child_frame_id, e.frame_id, e.transform.tobytes()) for e in chain]
+        if self._told != told:
+            if told is not None:
+                self._next = time.monotonic() + _PERIOD
+            self._on_description(with_fixed_frames(self._text, chain))
 
 
 def warn_of_left_out(log: RcutilsLogger, robot: RobotModel) -> None:
     """Say which shapes of a robot are not known: what they hide or touch is not looked after."""
     for sentence in robot.left_out:
         log.warning(f"left out of the robot: {sentence}")
-
-
-def _are_same(first: list[TransformRecord], second: list[TransformRecord]) -> bool:
-    """Whether chains lead by the same frames and transforms."""
-    return len(first) == len(second) and all(
-        (a.child_frame_id, a.frame_id) == (b.child_frame_id, b.frame_id)
-        and np.array_equal(a.transform, b.transform)
-        for a, b in zip(first, second, strict=True)
-    )

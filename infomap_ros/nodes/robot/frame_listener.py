@@ -29,15 +29,11 @@ class FrameListener:
     Args:
         node: that listens.
         on_edge: told of each transform.
-
-    Attributes:
-        static: fixed transforms by their children, in the order in which they were told or used: of
-            too many the first is forgotten.
     """
 
     def __init__(self, node: MonitoredNode, on_edge: Callable[[TransformRecord], None]) -> None:
         self._node, self._on_edge = node, on_edge
-        self.static: OrderedDict[str, TransformRecord] = OrderedDict()
+        self.static: OrderedDict[str, TransformRecord] = OrderedDict()  # by child, newest last
         self._moving: Subscription | None = None
         self._listen("/tf_static", qos.latched(depth=100), is_static=True)
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from nav_msgs.msg import Odometry
-from rclpy.clock import Clock, ClockType
 
 from infomap_ros.errors import FrameError, PoseUnavailableError
 from infomap_ros.geometry import OdometryRecord, TransformRecord
@@ -83,8 +82,7 @@ class OdometryListener:
         self._has_come = self._is_on_tf = False
         profile = qos.sensor_data(100)
         node.listen(Odometry, "odom", self._on_message, profile, required=required)
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        node.create_timer(_LOOK_PERIOD, self._look, clock=steady)
+        node.repeat(_LOOK_PERIOD, self._look)
 
     @property
     def is_offered(self) -> bool:

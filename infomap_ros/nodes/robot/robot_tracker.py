@@ -12,7 +12,7 @@ from sensor_msgs.msg import CameraInfo, JointState
 
 from infomap_ros.errors import FrameError, PoseUnavailableError
 from infomap_ros.exploration.robot import RobotState
-from infomap_ros.geometry import CameraCalibration, PoseRecord, Record, TransformRecord
+from infomap_ros.geometry import CameraCalibration, PoseRecord, Record
 from infomap_ros.geometry.assumed_pose import AssumedPoseConfig
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.joint_buffer import JointBufferConfig
@@ -109,7 +109,7 @@ class RobotTracker:
             self._on_description,
             self._config.frame_prefix,
             required=required,
-            on_edge=self._on_edge,
+            on_edge=lambda edge: self._odometries.add(edge),
         )
         self._odometries = OdometryListener(
             node,
@@ -138,12 +138,6 @@ class RobotTracker:
         """
         with self._news:
             return self._tracked.robot
-
-    @property
-    def is_described(self) -> bool:
-        """Whether `robot` has an answer."""
-        with self._news:
-            return self._tracked.is_described
 
     @property
     def calibrations(self) -> tuple[CameraCalibration, ...]:
@@ -212,10 +206,6 @@ class RobotTracker:
         with self._news:
             return self._tracked.known_state(in_odometry)
 
-    def is_complete(self) -> bool:
-        """Whether `state` has an answer."""
-        return self.known_state() is not None
-
     def joint_positions(self) -> dict[str, float]:
         """Newest position of each joint, by name [rad or m]; empty before the first."""
         with self._news:
@@ -277,9 +267,6 @@ class RobotTracker:
         joints = decode_joint_state(message)
         self._health.heard_of(joints.names)
         self._add(joints)
-
-    def _on_edge(self, edge: TransformRecord) -> None:
-        self._odometries.add(edge)
 
     def _add(self, record: Record) -> None:
         with self._news:

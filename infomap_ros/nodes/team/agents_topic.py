@@ -13,7 +13,7 @@ from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.team.team_topics import AGENTS
 
 
-def listen_to_agents(node: MonitoredNode, frame: str, hear: Callable[[str], None]) -> None:
+def listen_to_agents(node: MonitoredNode, frame: str, hear: Callable[[str], object]) -> None:
     """Subscribe to what robots tell of themselves.
 
     Args:

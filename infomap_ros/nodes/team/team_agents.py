@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 
-from rclpy.clock import Clock, ClockType
 from visualization_msgs.msg import MarkerArray
 
 from infomap_ros.errors import PoseUnavailableError
@@ -50,8 +49,8 @@ class TeamAgents:
         self._types, self._told, self._stamp = RclpyMessageTypes(), float("-inf"), -1
         self._description = node.resolve_topic_name("robot_description")
         self._publisher = node.advertise(MarkerArray, AGENTS, qos.stream(depth=50))
-        listen_to_agents(node, self._frame, self._hear)
-        node.create_timer(_TICK, self._tell_if_due, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        listen_to_agents(node, self._frame, lambda text: self.team.hear(text, time.monotonic()))
+        node.repeat(_TICK, self._tell_if_due)
 
     def announce(self) -> None:
         """Tell of this robot now, if it knows where it is; called by any thread."""
@@ -71,9 +70,6 @@ class TeamAgents:
             self._node.guard(AGENTS, self.announce)
         others = self.team.present(time.monotonic())
         self._node.health.note("teammates", ", ".join(str(each.robot) for each in others))
-
-    def _hear(self, text: str) -> None:
-        self.team.hear(text, time.monotonic())
 
     def _presence(self) -> Presence | None:
         tracker = self._tracker

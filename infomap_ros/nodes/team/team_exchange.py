@@ -8,7 +8,6 @@ from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
-from rclpy.clock import Clock, ClockType
 from sensor_msgs.msg import PointCloud2
 
 from infomap_ros.messages.rows import encode_rows
@@ -57,9 +56,8 @@ class TeamExchange:
         inbox = TeamInbox(node, frame, worker, key)
         for topic in (DIGESTS, REQUESTS):
             inbox.listen(topic, partial(self._hear, topic))
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
         period = node.config(TeamConfig).digest_period
-        node.create_timer(period, self._speak_soon, clock=steady)
+        node.repeat(period, self._speak_soon)
 
     def _hear(self, topic: str, rows: Rows) -> None:
         if topic == DIGESTS:

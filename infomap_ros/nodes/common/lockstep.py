@@ -138,11 +138,7 @@ class LockstepConductor:
     """
 
     def __init__(
-        self,
-        node: Node,
-        own: LockstepReporter,
-        names: Collection[str],
-        stops: Callable[[], bool],
+        self, node: Node, own: LockstepReporter, names: Collection[str], stops: Callable[[], bool]
     ) -> None:
         self._node, self._own, self._stops = node, own, stops
         self._own_name = node.get_fully_qualified_name()

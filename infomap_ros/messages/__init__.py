@@ -57,18 +57,9 @@ from infomap_ros.messages.poses import (
     decode_transform,
     decode_transforms,
 )
-from infomap_ros.messages.products import (
-    encode_clock,
-    encode_disparity,
-    encode_occupancy_grid,
-)
+from infomap_ros.messages.products import encode_clock, encode_disparity, encode_occupancy_grid
 from infomap_ros.messages.raw import header_stamp
-from infomap_ros.messages.types import (
-    MessageTypes,
-    RosbagsMessageTypes,
-    make_header,
-    make_time,
-)
+from infomap_ros.messages.types import MessageTypes, RosbagsMessageTypes, make_header, make_time
 
 _DECODERS: dict[str, Callable[[object], Record]] = {
     IMAGE: decode_image,

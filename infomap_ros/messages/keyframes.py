@@ -74,9 +74,7 @@ def encode_keyframe_covariances(types: MessageTypes, record: KeyframePoses) -> A
     return encode_rows(types, record.stamp, record.frame_id, rows)
 
 
-def decode_keyframe_covariances(
-    message: object,
-) -> tuple[int, int, NDArray[np.int64], FloatArray]:
+def decode_keyframe_covariances(message: object) -> tuple[int, int, NDArray[np.int64], FloatArray]:
     """Read what `encode_keyframe_covariances` wrote.
 
     Returns:

@@ -12,11 +12,7 @@ from infomap_ros.geometry.records import (
     TextRecord,
     TransformRecord,
 )
-from infomap_ros.geometry.transforms import (
-    FloatArray,
-    check_covariance,
-    transform_from_quaternion,
-)
+from infomap_ros.geometry.transforms import FloatArray, check_covariance, transform_from_quaternion
 from infomap_ros.messages.fields import MessageFields
 
 POSE = "geometry_msgs/msg/PoseStamped"

@@ -11,13 +11,7 @@ from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry.camera import StereoRig
 from infomap_ros.geometry.records import ImageRecord
 from infomap_ros.messages.encode import encode_image
-from infomap_ros.messages.types import (
-    MessageTypes,
-    make_header,
-    make_pose,
-    make_region,
-    make_time,
-)
+from infomap_ros.messages.types import MessageTypes, make_header, make_pose, make_region, make_time
 
 OCTOMAP = "octomap_msgs/msg/Octomap"
 

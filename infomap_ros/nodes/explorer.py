@@ -202,6 +202,11 @@ class ExplorerNode(MonitoredNode):
         for name, order in orders.items():
             self.create_service(Trigger, f"~/{name}", partial(self._serve, order))
         self.repeat(_STATUS_PERIOD, self._publish_status)
+        self.begins, self.ends = self._begin, self._end
+        if self.is_active:
+            self._begin()
+
+    def _begin(self) -> None:
         if self._config.autostart:
             self.get_logger().info(self._start())
 
@@ -229,11 +234,13 @@ class ExplorerNode(MonitoredNode):
         """Begin a mission, or go on with the one of the mission file.
 
         Raises:
-            ExplorationError: one runs already.
+            ExplorationError: one runs already, or this node is inactive.
             MissionFileError: the mission file cannot be read.
         """
         if self._running:
             raise ExplorationError("the exploration is running already")
+        if not self.is_active:
+            raise ExplorationError("this node is inactive: ros2 lifecycle set /explorer activate")
         goes_on = self._config.resume and self._mission_file.exists()
         mission = Mission.load(self._mission_file) if goes_on else Mission()
         path = Path(self._config.log_file).absolute()
@@ -251,6 +258,8 @@ class ExplorerNode(MonitoredNode):
             self._config.plan_only,
             self._on_step,
         )
+        if self._time is not None:
+            self._time.is_over = False
         self._thread = threading.Thread(target=self._explore, name="exploration", daemon=True)
         self._thread.start()
         return f"going on after {mission.views} views" if goes_on else "starting"
@@ -372,13 +381,17 @@ class ExplorerNode(MonitoredNode):
             raise RuntimeError("the thread of the exploration has ended by an error, see above")
         self._status.publish(status_message(self._exploration, self._failed_views))
 
-    def destroy_node(self) -> None:
-        """Stop the robot, then the node."""
+    def _end(self) -> None:
+        """End the exploration and stop the robot."""
         if self._exploration is not None and self._thread is not None:
             self._exploration.control.ask(Request.STOP)
             if self._time is not None:
                 self._time.stop()
             self._thread.join(5.0)
+
+    def destroy_node(self) -> None:
+        """Stop the robot, then the node."""
+        self._end()
         super().destroy_node()
 
 

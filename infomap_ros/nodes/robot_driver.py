@@ -64,6 +64,7 @@ class RobotDriverNode(MonitoredNode):
         self._watchdog = Watchdog(self._reach(config)) if is_watched else None
         self.repeat(BEAT, self._beat)
         self.create_service(Trigger, "~/stop", self._on_stop)
+        self.ends = partial(self._halt, "robot_driver was deactivated")
         self.get_logger().info(f"arm by {config.arm}, base by {config.base}")
 
     def _reach(self, config: RobotDriverConfig) -> Reach:
@@ -111,12 +112,17 @@ class RobotDriverNode(MonitoredNode):
         response.success, response.message = True, words
         return response
 
-    def destroy_node(self) -> None:
-        """Stop the robot, then the node."""
+    def _halt(self, cause: str) -> bool:
+        """Stop what moves; returns whether anything does."""
         moving = [driver for driver in self._drivers if driver.is_active]
         for driver in moving:
+            driver.stop(cause)
             driver.halt()
-        if moving:
+        return bool(moving)
+
+    def destroy_node(self) -> None:
+        """Stop the robot, then the node."""
+        if self._halt("robot_driver ends"):
             time.sleep(_LEAVING)
         if self._watchdog is not None:
             self._watchdog.part()

@@ -156,6 +156,26 @@ def test_clouds_of_another_frame_than_the_camera_are_placed_by_tf(graph: Any) ->
     np.testing.assert_allclose(lidar.surface()[:, 0], WALL, atol=0.03)
 
 
+def test_clouds_that_camera_pose_is_not_of_are_refused_where_tf_tells(graph: Any) -> None:
+    """camera_pose is that of the camera, whose frame nobody names, and clouds are of a lidar."""
+    lidar = Lidar(graph)
+    graph.connect(lidar.frames.moving, lidar.frames.static)
+    drops = lidar.node.health.drops
+
+    def tell() -> bool:
+        pose = lidar.base() @ T_BASE_LIDAR @ T_LIDAR_CAMERA
+        record = PoseRecord(lidar.stamp, "map", pose, 1e-6 * np.eye(6))
+        lidar.poses.publish(encode_pose(TYPES, record))
+        return drops().get("wrong frame", 0) >= 5
+
+    lidar.drive_until(tell, "refusals")
+    # What came before the first camera_pose was placed by tf alone.
+    np.testing.assert_allclose(lidar.surface()[:, 0], WALL, atol=0.03)
+    said = lidar.node.health.values()["last drop: wrong frame"]
+    assert "turned by 120 degrees" in said
+    assert "camera_frame" in said
+
+
 def test_a_carried_pose_has_the_covariance_of_its_samples() -> None:
     rng = np.random.default_rng(0)
     root = 1e-3 * rng.normal(size=(6, 6))

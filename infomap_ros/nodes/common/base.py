@@ -3,12 +3,16 @@
 Errors of the library are translated here, once: the data are dropped, the drop is counted with its
 reason, and a throttled warning says what was wrong. Any other exception is a defect and ends the
 process, unless a message of another robot caused it: that is one dropped message.
+
+Each is a lifecycle node, active from its start unless ``start_active`` is false. An inactive one
+neither uses nor publishes data; what is to be checked and compiled, it has done by then.
 """
 
 from __future__ import annotations
 
 import traceback
 import weakref
+from collections import deque
 from collections.abc import Callable
 from difflib import get_close_matches
 from functools import partial
@@ -16,9 +20,10 @@ from pathlib import Path
 from typing import Any, ClassVar, TypeVar
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from rcl_interfaces.msg import SetParametersResult
+from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
 from rclpy.clock import Clock, ClockType
 from rclpy.event_handler import PublisherEventCallbacks, QoSPublisherMatchedInfo
+from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
@@ -62,6 +67,7 @@ _REASONS: dict[type[InfomapError], str] = {
     RobotModelError: "robot description",
     MapFileError: "map file",
 }
+_MOST_KEPT = 1000  # latched messages that come while a node is inactive
 _OF_ONE_SOURCE = {
     "sensor_msgs/msg/Image",
     "sensor_msgs/msg/CompressedImage",
@@ -70,7 +76,7 @@ _OF_ONE_SOURCE = {
 }
 
 
-class MonitoredNode(Node):
+class MonitoredNode(LifecycleNode):
     """A node whose inputs are guarded and whose condition is published on /diagnostics.
 
     Args:
@@ -81,6 +87,9 @@ class MonitoredNode(Node):
         CONFIGS: configuration classes of the node with the prefix of their parameters.
         SETTABLE: file-name patterns of the parameters that may be set while it runs.
         lockstep: counts messages, where a simulator's time waits for them.
+        is_active: whether data are used and published.
+        begins: called when the node has become active again.
+        ends: called before it becomes inactive.
 
     Raises:
         ConfigError: a parameter has an impossible value.
@@ -92,6 +101,16 @@ class MonitoredNode(Node):
     def __init__(self, name: str, **node_arguments: Any) -> None:
         super().__init__(name, **node_arguments)
         release_when_leaving(partial(_release, weakref.ref(self)))
+        self.begins: Callable[[], object] = lambda: None
+        self.ends: Callable[[], object] = lambda: None
+        self.is_active = False
+        self._kept: deque[Callable[[], None]] = deque(maxlen=_MOST_KEPT)
+        about = ParameterDescriptor(
+            description="Else when a lifecycle manager says.", read_only=True
+        )
+        if self.declare_parameter("start_active", True, about).value:
+            self.trigger_configure()
+            self.trigger_activate()
         self.health = Health()
         self._listened: dict[str, tuple[str, QoSProfile]] = {}
         self._configs: dict[type, Any] = {
@@ -112,6 +131,25 @@ class MonitoredNode(Node):
     def repeat(self, period: float, action: Callable[[], None]) -> None:
         """Do something each so many seconds [s], of a clock that nobody sets."""
         self.create_timer(period, action, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Use and publish data from now on, the latched ones that have come meanwhile first."""
+        result = super().on_activate(state)
+        self.is_active = True
+        while self._kept:
+            self._kept.popleft()()
+        self.begins()
+        return result
+
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Stand still, then neither use nor publish data."""
+        self.ends()
+        self.is_active = False
+        return super().on_deactivate(state)
+
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """As `on_deactivate`: process and services go on until they are interrupted."""
+        return self.on_deactivate(state)
 
     def config(self, kind: type[Config]) -> Config:
         """The validated configuration of one of the classes in `CONFIGS`, as it is now."""
@@ -182,14 +220,20 @@ class MonitoredNode(Node):
         radio = self._configs.get(TeamRadioConfig, TeamRadioConfig())
         guard = self.guard_peer if from_peer else self.guard
 
+        def use(message: Any) -> None:
+            self._is_in_callback = True
+            guard(name, lambda: handle(message))
+            self._is_in_callback = False
+
         def receive(message: Any) -> None:
             if loses(radio, topic):
                 self.drop("simulated loss")
                 return
             self.health.arrived(name)
-            self._is_in_callback = True
-            guard(name, lambda: handle(message))
-            self._is_in_callback = False
+            if self.is_active:
+                use(message)
+            elif latched:
+                self._kept.append(partial(use, message))
             if self.lockstep is not None:
                 self.lockstep.used(name)
 
@@ -219,13 +263,10 @@ class MonitoredNode(Node):
 
         profile = self._quality(profile)
         events = PublisherEventCallbacks(matched=on_matched) if on_subscriber else None
-        publisher = self.create_publisher(
-            message_type,
-            topic,
-            profile,
-            qos_overriding_options=qos.overridable(),
-            event_callbacks=events,
-        )
+        how = {"qos_overriding_options": qos.overridable(), "event_callbacks": events}
+        publisher = self.create_lifecycle_publisher(message_type, topic, profile, **how)
+        if self.is_active:
+            publisher.on_activate(None)
         self._advertised.append(publisher)
         if self.lockstep is not None:
             self.lockstep.count(publisher)
@@ -319,18 +360,19 @@ class MonitoredNode(Node):
     def _publish_diagnostics(self) -> None:
         if not all(worker.alive for worker in self._workers):
             raise RuntimeError("the worker thread has ended by an error, see above")
-        self._warn_of_missing_inputs()
+        if self.is_active:
+            self._warn_of_missing_inputs()
         self._note_memory()
         if self.lockstep is not None:
             self.lockstep.report(again=True)
         for publisher in self._advertised:
             name = f"{publisher.topic_name} subscribers"
             self.health.note(name, str(publisher.get_subscription_count()))
-        complaints = self.health.complaints() + self._mixed_sources()
+        complaints = self.health.complaints() + self._mixed_sources() if self.is_active else []
         status = DiagnosticStatus(
             level=DiagnosticStatus.WARN if complaints else DiagnosticStatus.OK,
             name=f"{self.get_fully_qualified_name()}: data",
-            message="; ".join(complaints) or "ok",
+            message="; ".join(complaints) or ("ok" if self.is_active else "inactive"),
             hardware_id=self.get_fully_qualified_name(),
             values=[KeyValue(key=k, value=v) for k, v in self.health.values().items()],
         )
@@ -370,11 +412,8 @@ class MonitoredNode(Node):
         """Name values that were given for parameters which this node does not have."""
         known = {prefix + name for kind, prefix in self.CONFIGS for name in all_parameters(kind)}
         known |= {name for name in self._parameters if not name.startswith("qos_overrides.")}
-        unknown = [
-            name
-            for name in self._parameter_overrides
-            if name not in known and not name.startswith("qos_overrides.")
-        ]
+        given = self._parameter_overrides
+        unknown = [n for n in given if n not in known and not n.startswith("qos_overrides.")]
         if not unknown:
             return
         # A robot's file is for all nodes, and each takes what it knows. Imported here, as that

@@ -138,11 +138,7 @@ class LockstepConductor:
     """
 
     def __init__(
-        self,
-        node: Node,
-        own: LockstepReporter,
-        names: Collection[str],
-        stops: Callable[[], bool],
+        self, node: Node, own: LockstepReporter, names: Collection[str], stops: Callable[[], bool]
     ) -> None:
         self._node, self._own, self._stops = node, own, stops
         self._own_name = node.get_fully_qualified_name()
@@ -276,12 +272,15 @@ class LockstepTime:
         node: in lockstep.
         reporter: of the node.
         runs: whether the thread runs.
+
+    Attributes:
+        is_over: nobody waits any more.
     """
 
     def __init__(self, node: Node, reporter: LockstepReporter, runs: Callable[[], bool]) -> None:
         self._reporter, self._runs = reporter, runs
         self._news = threading.Condition()
-        self._now, self._waited, self._is_over = 0, -1, False
+        self._now, self._waited, self.is_over = 0, -1, False
         reporter.waited_until = self._waited_until
         node.create_subscription(Clock, TIME, self._on_time, qos.stream(depth=10))
 
@@ -297,7 +296,7 @@ class LockstepTime:
         """
         end = self._now + 1e9 * timeout
         while not condition():
-            if self._is_over or interrupted() or self._now > end:
+            if self.is_over or interrupted() or self._now > end:
                 return False
             self._let_pass()
         return True
@@ -305,7 +304,7 @@ class LockstepTime:
     def stop(self) -> None:
         """Let nobody wait any more."""
         with self._news:
-            self._is_over = True
+            self.is_over = True
             self._news.notify_all()
 
     def _let_pass(self) -> None:
@@ -313,7 +312,7 @@ class LockstepTime:
             self._waited = before = self._now
         self._reporter.report()
         with self._news:
-            self._news.wait_for(lambda: self._now > before or self._is_over)
+            self._news.wait_for(lambda: self._now > before or self.is_over)
             self._waited = -1
 
     def _waited_until(self) -> int | None:

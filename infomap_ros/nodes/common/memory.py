@@ -57,11 +57,7 @@ def keep_freed_memory() -> bool:
     Returns:
         Whether the C library can do so (glibc can).
     """
-    options = {
-        _ARENA_MAX: 1,
-        _MMAP_THRESHOLD: _LARGEST_HEAP_BLOCK,
-        _TRIM_THRESHOLD: _HEAP_KEPT,
-    }
+    options = {_ARENA_MAX: 1, _MMAP_THRESHOLD: _LARGEST_HEAP_BLOCK, _TRIM_THRESHOLD: _HEAP_KEPT}
     mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
     return mallopt is not None and all(mallopt(key, value) for key, value in options.items())
 
@@ -69,12 +65,9 @@ def keep_freed_memory() -> bool:
 class _HeapFigures(ctypes.Structure):
     """The answer of mallinfo2(3), glibc 2.33."""
 
-    _fields_ = (
-        *((f"not_needed_{index}", ctypes.c_size_t) for index in range(4)),
-        ("in_mappings", ctypes.c_size_t),
-        *((f"not_needed_{index}", ctypes.c_size_t) for index in range(5, 7)),
-        ("in_use", ctypes.c_size_t),
-        *((f"not_needed_{index}", ctypes.c_size_t) for index in range(8, 10)),
+    _fields_ = tuple(
+        (name, ctypes.c_size_t)
+        for name in ("0", "1", "2", "3", "in_mappings", "5", "6", "in_use", "8", "9")
     )
 
 

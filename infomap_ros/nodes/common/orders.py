@@ -36,11 +36,7 @@ def offer_order(node: Node, name: str, worker: Worker, order: Callable[[], str])
 
 
 def offer_service(
-    node: Node,
-    service_type: type,
-    name: str,
-    worker: Worker,
-    answer: Callable[[Any, Any], object],
+    node: Node, service_type: type, name: str, worker: Worker, answer: Callable[[Any, Any], object]
 ) -> None:
     """Offer a service whose requests the worker answers.
 

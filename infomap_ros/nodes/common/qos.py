@@ -7,13 +7,7 @@ Each publisher and subscription may be overridden by the ROS parameters
 from __future__ import annotations
 
 from rclpy.duration import Duration
-from rclpy.qos import (
-    DurabilityPolicy,
-    HistoryPolicy,
-    QoSPolicyKind,
-    QoSProfile,
-    ReliabilityPolicy,
-)
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSPolicyKind, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 
 _CURRENT = Duration(seconds=2)
@@ -61,11 +55,5 @@ def _newest(depth: int, reliability: ReliabilityPolicy, durability: DurabilityPo
 
 def overridable() -> QoSOverridingOptions:
     """Let ROS parameters override history, depth, reliability and durability."""
-    return QoSOverridingOptions(
-        (
-            QoSPolicyKind.HISTORY,
-            QoSPolicyKind.DEPTH,
-            QoSPolicyKind.RELIABILITY,
-            QoSPolicyKind.DURABILITY,
-        )
-    )
+    names = "HISTORY", "DEPTH", "RELIABILITY", "DURABILITY"
+    return QoSOverridingOptions([QoSPolicyKind[name] for name in names])

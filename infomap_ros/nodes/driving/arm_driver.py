@@ -197,10 +197,7 @@ class _Topics:
     """The controllers' topics, which give no result: the joints tell."""
 
     def __init__(
-        self,
-        node: MonitoredNode,
-        controllers: Mapping[str, Sequence[str]],
-        joints: JointListener,
+        self, node: MonitoredNode, controllers: Mapping[str, Sequence[str]], joints: JointListener
     ) -> None:
         self._types, self._time = RclpyMessageTypes(), node.config(RobotDriverConfig).goal_time
         self._clock, self._joints = node.motion_clock, joints

@@ -5,13 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from infomap_ros.geometry import (
-    PinholeCamera,
-    PlacedSolid,
-    PointCloudRecord,
-    PoseRecord,
-    Sphere,
-)
+from infomap_ros.geometry import PinholeCamera, PlacedSolid, PointCloudRecord, PoseRecord, Sphere
 from infomap_ros.geometry.organized import fit_pinhole_camera
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.mapping.correction.correctable_map import CorrectableMap

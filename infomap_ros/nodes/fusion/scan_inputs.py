@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
+import numpy as np
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from sensor_msgs.msg import PointCloud2
 
@@ -42,6 +43,8 @@ from infomap_ros.pipeline.scan_synchronizer import (
 )
 
 CAMERA_POSE = "camera_pose"
+_COSINE = 0.9  # of 26 degrees: localization and odometry differ by less, frames of sensors by more
+_UNKNOWN = 50  # clouds, after which tf is not asked again where it does not place them
 
 
 class ScanPoses:
@@ -50,7 +53,8 @@ class ScanPoses:
     While somebody tells camera_pose it alone counts: it has a covariance, and localization may
     correct it. Else the pose is that of the clouds' frame in tf, whose covariance is unknown. Where
     `camera_frame` names the frame of camera_pose, tf also tells where clouds of other frames were
-    taken.
+    taken. Where it does not, camera_pose counts as that of the clouds' frame, unless tf has that
+    frame turned another way: then clouds are refused.
 
     Args:
         node: that listens.
@@ -69,12 +73,14 @@ class ScanPoses:
         self._tree = TransformTree(node.config(PoseBufferConfig))
         self._topic = node.resolve_topic_name(CAMERA_POSE)
         self._was_told, self.cloud_frame, self._by_tf = False, "", ""
+        self._compared, self._unknown = "", 0
         self._frames = FrameListener(node, self._on_edge)
+        self._frames.hear_moving()
 
     def look_from(self, frame: str) -> None:
         """The clouds are of this frame."""
         self.cloud_frame = frame
-        if self._is_told and self._camera_frame in ("", frame):
+        if self._is_told and frame in (self._camera_frame, self._compared):
             self._frames.ignore_moving()
         else:
             self._frames.hear_moving()
@@ -89,6 +95,8 @@ class ScanPoses:
         if not self._is_told:
             return self._from_tf(stamp)
         pose = self._located.at(stamp)
+        if not self._camera_frame:
+            self._compare(pose)
         return pose if self._camera_frame in ("", self.cloud_frame) else self._of_cloud(pose)
 
     def others_have_jumped(self, stamp: int) -> None:
@@ -120,6 +128,27 @@ class ScanPoses:
             self._node.health.watch(self._topic, required=False)
         return replace(pose, covariance=None)  # also of a chain that never moves
 
+    def _compare(self, pose: PoseRecord) -> None:
+        """See that camera_pose is of the clouds' frame, as far as tf tells; once for a frame.
+
+        Raises:
+            PoseUnavailableError: tf has that frame turned another way.
+        """
+        if self._compared == (frame := self.cloud_frame):
+            return
+        try:
+            told = self._tree.at(pose.frame_id, frame, pose.stamp).transform
+        except (FrameError, PoseUnavailableError):
+            self._unknown += 1
+            self._compared = frame if self._unknown > _UNKNOWN else ""
+            return
+        cosine = 0.5 * (np.trace(pose.transform[:3, :3].T @ told[:3, :3]) - 1.0)
+        if cosine < _COSINE:
+            turn = f"turned by {np.degrees(np.arccos(max(cosine, -1.0))):.0f} degrees"
+            text = f"{CAMERA_POSE} is {turn} from {frame} in tf: name its frame with camera_frame"
+            raise PoseUnavailableError(text, WRONG_FRAME)
+        self._compared = frame
+
     def _of_cloud(self, pose: PoseRecord) -> PoseRecord:
         """The pose of the clouds' frame, of that of the camera."""
         root = self._tree.root_of(self.cloud_frame)
@@ -141,19 +170,14 @@ def carried_pose(pose: PoseRecord, T_child_other: FloatArray) -> PoseRecord:
     """The pose of a frame that is exactly known in the child frame of a pose."""
     lever = pose.transform[:3, :3] @ T_child_other[:3, 3]
     known, parts = pose.covariance, pose.uncertainty
-    return replace(
-        pose,
-        transform=pose.transform @ T_child_other,
-        covariance=None if known is None else carry_covariance(known, lever),
-        uncertainty=None
-        if parts is None
-        else replace(
-            parts,
-            drift=carry_covariance(parts.drift, lever),
-            white=carry_covariance(parts.white, lever),
-            offset=carry_covariance(parts.offset, lever),
-        ),
-    )
+    if known is not None:
+        known = carry_covariance(known, lever)
+    if parts is not None:
+        drift, white = (carry_covariance(part, lever) for part in (parts.drift, parts.white))
+        offset = carry_covariance(parts.offset, lever)
+        parts = replace(parts, drift=drift, white=white, offset=offset)
+    transform = pose.transform @ T_child_other
+    return replace(pose, transform=transform, covariance=known, uncertainty=parts)
 
 
 _UNCERTAINTY = "camera_pose_uncertainty"
@@ -178,15 +202,10 @@ class ScanInputs:
         on_arrival: Callable[[BodyInScan], None],
     ) -> None:
         self._node, self._on_scan, self._on_clock_jump = node, on_scan, on_clock_jump
-        frame, parts = (
-            node.config(ScanSynchronizerConfig).map_frame,
-            node.resolve_topic_name(_UNCERTAINTY),
-        )
-        self._poses = LocatedPoses(
-            frame,
-            node.config(PoseBufferConfig),
-            lambda: node.count_publishers(parts) > 0,
-        )
+        frame = node.config(ScanSynchronizerConfig).map_frame
+        parts = node.resolve_topic_name(_UNCERTAINTY)
+        buffer = node.config(PoseBufferConfig)
+        self._poses = LocatedPoses(frame, buffer, lambda: node.count_publishers(parts) > 0)
         self._placed = ScanPoses(node, self._poses, self._take)
         body = self._body = RobotBody(
             config=node.config(JointBufferConfig),
@@ -195,8 +214,7 @@ class ScanInputs:
         )
         self._unknown = ""
         self._listener: BodyListener | None = None
-        news = self._take, on_arrival
-        self._teammates = TeamBodyListener(node, frame, *news)
+        self._teammates = TeamBodyListener(node, frame, self._take, on_arrival)
         self._scans: ScanSynchronizer[PointCloud2] = ScanSynchronizer(
             self._placed,
             body,

@@ -30,11 +30,7 @@ from infomap_ros.nodes.common.message_types import RclpyMessageTypes
 from infomap_ros.nodes.common.worker import Worker
 from infomap_ros.nodes.robot.robot_tracker import RobotTrackerConfig
 from infomap_ros.nodes.team.agents_topic import listen_to_agents
-from infomap_ros.nodes.team.map_moves import (
-    advertise_alignment,
-    alignment_message,
-    describe_move,
-)
+from infomap_ros.nodes.team.map_moves import advertise_alignment, alignment_message, describe_move
 from infomap_ros.nodes.team.team_identity import TeamIdentityConfig
 from infomap_ros.nodes.team.team_topics import AGENTS
 from infomap_ros.team.agent_board import AgentBoard

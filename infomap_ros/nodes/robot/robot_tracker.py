@@ -16,11 +16,7 @@ from infomap_ros.geometry import CameraCalibration, PoseRecord, Record
 from infomap_ros.geometry.assumed_pose import AssumedPoseConfig
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.joint_buffer import JointBufferConfig
-from infomap_ros.messages import (
-    decode_camera_info,
-    decode_joint_state,
-    decode_pose_with_covariance,
-)
+from infomap_ros.messages import decode_camera_info, decode_joint_state, decode_pose_with_covariance
 from infomap_ros.motion.robot.robot_model import DescriptionConfig, RobotModel
 from infomap_ros.motion.robot.urdf import hash_of_description
 from infomap_ros.nodes.common import qos

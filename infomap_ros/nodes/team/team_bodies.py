@@ -46,8 +46,7 @@ class TeamBodyConfig:
     """
 
     remove_teammates: bool = setting(
-        True,
-        "Drop points on the bodies of teammates that are heard on team/agents.",
+        True, "Drop points on the bodies of teammates that are heard on team/agents."
     )
 
     def __post_init__(self) -> None:

@@ -1,0 +1,95 @@
+"""The programs of docs/howto_one_node.md, as they stand there, beside the node of their command."""
+
+from __future__ import annotations
+
+import os
+import re
+import shlex
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import pytest
+from geometry_msgs.msg import Twist
+
+from infomap_ros.nodes.robot_driver import RobotDriverNode
+
+from .controllers import VelocityController
+from .rovers import PaperRover
+
+PAGE = Path(__file__).resolve().parents[2] / "docs/howto_one_node.md"
+SECTIONS = dict(
+    part.split("\n", 1) for part in PAGE.read_text("utf-8").split("\n## ")[1:]
+)  # node: text
+
+
+def program(node: str) -> str:
+    (found,) = re.findall(r"```python\n(.*?)```", SECTIONS[node], re.DOTALL)
+    return str(found)
+
+
+def start(graph: Any, node_class: Callable[..., Any], **settings: Any) -> Any:
+    """The node of a section with what its command gives it, and settings that save time."""
+    name = re.sub(r"(?<!^)(?=[A-Z])", "_", node_class.__name__.removesuffix("Node")).lower()
+    (command,) = re.findall(r"^ {4}(ros2 run .*)$", SECTIONS[name], re.MULTILINE)
+    words = shlex.split(command)
+    assert words[:4] == ["ros2", "run", "infomap_ros", name]
+    given = words[4:] or None
+    return graph.add(partial(node_class, cli_args=given), **settings)
+
+
+@contextmanager
+def running(graph: Any, node: str, folder: Path) -> Iterator[subprocess.Popen[str]]:
+    """The program of a section as a process in the namespace of the graph."""
+    (folder / "example.py").write_text(program(node), encoding="utf-8")
+    root = str(PAGE.parents[1])
+    environment = {**os.environ, "ROS_DOMAIN_ID": str(graph.domain)}
+    environment["PYTHONPATH"] = os.pathsep.join(filter(None, (root, os.environ.get("PYTHONPATH"))))
+    command = [sys.executable, "example.py", "--ros-args", "-r", f"__ns:={graph.namespace}"]
+    with subprocess.Popen(
+        command, cwd=folder, env=environment, stdout=subprocess.PIPE, text=True
+    ) as process:
+        try:
+            yield process
+        finally:
+            process.kill()
+
+
+def said(graph: Any, process: subprocess.Popen[str], what: str) -> str:
+    """The program's first line."""
+    assert process.stdout is not None
+    os.set_blocking(process.stdout.fileno(), False)
+    lines: list[str] = []
+
+    def read() -> bool:
+        assert process.stdout is not None
+        lines.extend(line for line in [process.stdout.readline()] if line)
+        return bool(lines)
+
+    graph.spin_until(read, what, 90.0)
+    return lines[0].strip()
+
+
+@pytest.mark.parametrize("node", SECTIONS)
+def test_an_example_is_at_most_20_lines(node: str) -> None:
+    assert len([line for line in program(node).splitlines() if line]) <= 20
+
+
+class Base(PaperRover):
+    """Has odometry, and is driven by cmd_vel."""
+
+    is_located = False
+
+
+def test_a_base_goes_along_a_path(graph: Any, tmp_path: Path) -> None:
+    base = VelocityController(Base(graph), Twist)
+    base.rover.obeys = False
+    start(graph, RobotDriverNode)
+    with running(graph, "robot_driver", tmp_path) as process:
+        assert said(graph, process, "the result") == "done"
+    assert abs(base.pose[0] - 0.5) < 0.1
+    assert abs(base.pose[1]) < 0.05

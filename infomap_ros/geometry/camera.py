@@ -14,6 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 from infomap_ros.errors import CalibrationError
 from infomap_ros.geometry.transforms import FloatArray
 
+_WIDEST = 150.0  # field of view of a rectified image; more tells of another unit or size [deg]
+_MOST_SKEW = 1e-3  # of a rectified image, as a share of its focal length
 LONGEST_BASELINE = 5.0
 """Of a pair on a robot or car; more means another unit than meters [m]."""
 
@@ -222,12 +224,24 @@ class CameraCalibration:
         """The pinhole camera of the rectified image (from P).
 
         Raises:
-            CalibrationError: P is not calibrated or impossible.
+            CalibrationError: P is not calibrated, impossible or not plausible; says its value.
         """
         p = self.projection
         if p[0, 0] == 0.0:
             raise CalibrationError("camera is not calibrated: the projection matrix P is zero")
-        return PinholeCamera(self.width, self.height, p[0, 0], p[1, 1], p[0, 2], p[1, 2])
+        camera = PinholeCamera(self.width, self.height, p[0, 0], p[1, 1], p[0, 2], p[1, 2])
+        for name, focal, size in (("fx", camera.fx, self.width), ("fy", camera.fy, self.height)):
+            angle = np.degrees(2.0 * np.arctan2(0.5 * size, focal))
+            if angle > _WIDEST:
+                raise CalibrationError(
+                    f"{name} = {focal:.6g} px is a field of view of {angle:.1f} deg over {size} px:"
+                    " is it in pixels, and for images of this size?"
+                )
+        if abs(p[0, 1]) > _MOST_SKEW * camera.fx:
+            raise CalibrationError(
+                f"the skew P[0, 1] is {p[0, 1]:.6g} px; a rectified image has none"
+            )
+        return camera
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, CameraCalibration):

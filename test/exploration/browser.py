@@ -35,6 +35,48 @@ _FLAGS = (
 SOFTWARE_WEBGL = ("--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
 NO_WEBGL = ("--disable-gpu", "--disable-3d-apis")
 _PATIENCE = 60.0  # [s]
+_RECORD_CANVAS_TEXT = """
+const { fillText, clearRect } = CanvasRenderingContext2D.prototype;
+CanvasRenderingContext2D.prototype.clearRect = function (...box) {
+  this.canvas.texts = [];
+  clearRect.apply(this, box);
+};
+CanvasRenderingContext2D.prototype.fillText = function (text, x, y, ...more) {
+  const width = this.measureText(text).width;
+  const left = x - { left: 0, center: 0.5, right: 1 }[this.textAlign] * width;
+  (this.canvas.texts ||= []).push([text, left, y - 4, left + width, y + 4]);
+  fillText.call(this, text, x, y, ...more);
+};
+"""
+_TEXTS = """
+(() => {
+  const found = [], range = document.createRange();
+  const walker = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT);
+  while (walker.nextNode()) {
+    const node = walker.currentNode, holder = node.parentElement;
+    if (!node.data.trim() || holder.closest("script, style, title")) continue;
+    if (!holder.checkVisibility({ opacityProperty: true, visibilityProperty: true })) continue;
+    range.selectNodeContents(node);
+    for (const line of range.getClientRects()) {
+      const box = [line.left, line.top, line.right, line.bottom];
+      for (let above = holder; above !== document.body; above = above.parentElement) {
+        if (getComputedStyle(above).overflowX === "visible") continue;
+        if (above instanceof SVGElement && above.tagName !== "svg") continue;
+        const edge = above.getBoundingClientRect();
+        box[0] = Math.max(box[0], edge.left), box[1] = Math.max(box[1], edge.top);
+        box[2] = Math.min(box[2], edge.right), box[3] = Math.min(box[3], edge.bottom);
+      }
+      if (box[2] - box[0] > 1 && box[3] - box[1] > 1) found.push([node.data.trim(), ...box]);
+    }
+  }
+  for (const canvas of document.querySelectorAll("canvas")) {
+    const edge = canvas.getBoundingClientRect();
+    for (const [text, left, top, right, bottom] of canvas.texts || [])
+      found.push([text, left + edge.x, top + edge.y, right + edge.x, bottom + edge.y]);
+  }
+  return found;
+})()
+"""
 _AS_3_AND_4 = """
 import fcntl, os, sys
 ends = [fcntl.fcntl(int(end), fcntl.F_DUPFD, 10) for end in sys.argv[1:3]]
@@ -92,6 +134,7 @@ class Browser:
         self._session = self.send("Target.attachToTarget", targetId=page, flatten=True)["sessionId"]
         for domain in ("Page", "Runtime", "Log", "Network"):
             self.send(f"{domain}.enable")
+        self.send("Page.addScriptToEvaluateOnNewDocument", source=_RECORD_CANVAS_TEXT)
         self.resize(*size)
 
     def resize(self, width: int, height: int) -> None:
@@ -180,6 +223,14 @@ class Browser:
             x, y = (a + share * (b - a) for a, b in zip(start, end, strict=True))
             self.mouse("mouseMoved", x, y, button=button, buttons=buttons)
         self.mouse("mouseReleased", *end, button=button, clickCount=1)
+
+    def texts(self) -> list[tuple[str, float, float, float, float]]:
+        """Each line of text that can be seen: left, top, right, bottom [px, window].
+
+        What its holder cuts off (a table that scrolls) does not count; text that was drawn on a
+        canvas does.
+        """
+        return [tuple(found) for found in self.evaluate(_TEXTS)]
 
     def screenshot(self, path: Path, whole: bool = False) -> None:
         """Picture of what the window, or the whole page, shows."""

@@ -6,13 +6,14 @@ import base64
 import json
 import re
 from collections.abc import Iterator
-from itertools import pairwise
+from itertools import combinations, pairwise
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
+from infomap_ros.exploration.reports.comparison import write_comparison
 from infomap_ros.exploration.reports.report import write_map_report, write_report
 from infomap_ros.geometry import make_transform
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
@@ -300,17 +301,98 @@ def test_two_clicks_measure_and_escape_forgets(window: Browser, tmp_path: Path) 
     assert "distance" not in window.evaluate(marked)
 
 
-def test_on_a_phone_the_map_fills_its_view_and_nothing_is_wider(
-    window: Browser, report: Path
+def overlapping(texts: list[tuple[str, float, float, float, float]]) -> list[tuple[str, str]]:
+    """Pairs of texts that share more than the leading of their lines."""
+    found = []
+    for (one, *a), (other, *b) in combinations(texts, 2):
+        width = min(a[2], b[2]) - max(a[0], b[0])
+        height = min(a[3], b[3]) - max(a[1], b[1])
+        if width > 1.0 and height > 2.0:
+            found.append((one, other))
+    return found
+
+
+@pytest.fixture(scope="module")
+def pages(report: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """The reports of a run, of a map below a ceiling, and of two runs compared."""
+    folder = tmp_path_factory.mktemp("pages")
+    runs = {}
+    for name in ("first_of_two_with_a_name_that_is_much_too_long_for_a_phone", "second"):
+        runs[name] = folder / name
+        runs[name].mkdir()
+        write_log(runs[name] / "exploration.jsonl")
+        made_up_map(voxel_size=0.1).save(runs[name] / "map.infomap")
+        figures = {"pose_error_rms": 0.0071, "simulated_seconds": 312.5, "memory_bytes": 9113658}
+        (runs[name] / "summary.json").write_text(json.dumps(figures), encoding="utf-8")
+    write_comparison(folder / "comparison.html", runs)
+    write_map_report(folder / "map.html", room_with_a_ceiling(), "A room", figures=figures)
+    return {
+        "report": report,
+        "map": folder / "map.html",
+        "comparison": folder / "comparison.html",
+    }
+
+
+@pytest.mark.parametrize("width", [1500, 400])
+@pytest.mark.parametrize("name", ["report", "map", "comparison"])
+def test_no_two_texts_overlap_and_nothing_is_wider_than_the_page(
+    window: Browser, pages: dict[str, Path], name: str, width: int
 ) -> None:
-    window.resize(400, 1100)
+    window.resize(width, 1000)
+    turns = ["[data-camera=home]", "[data-camera=top]", "[data-camera=side]"]
+    clicks = [] if name == "comparison" else [*turns, "input[value=sigma]"]
     try:
-        window.open(report)
-        _, _, width, height = stage(window)
-        assert height <= 1.1 * width
-        assert window.evaluate("document.documentElement.scrollWidth") <= 400
+        window.open(pages[name])
+        if clicks:
+            click(window, "input[name=surface]")  # takes long to draw
+        if name == "report":
+            click(window, "input[name=views]")  # their numbers lie where the views are
+        for selector in clicks or ["body"]:
+            click(window, selector)
+            window.frame()
+            texts = [text for text in window.texts() if text[3] > 0.0]
+            assert len(texts) > 30
+            assert overlapping(texts) == [], selector
+            assert [text for text in texts if text[1] < 0.0 or text[3] > width] == []
+        assert window.evaluate("document.documentElement.scrollWidth") <= width
+        if clicks and width == 400:
+            _, _, shown_width, height = stage(window)
+            assert height <= 1.1 * shown_width
     finally:
         window.resize(*SIZE)
+
+
+def room_with_a_ceiling() -> VoxelMap:
+    """A floor at 0 m and half a table at 1 m below a ceiling at 2.5 m, seen from between."""
+    voxel_map = VoxelMap(VoxelMapConfig(voxel_size=0.1, max_range=10.0))
+    steps = np.arange(-1.5, 1.5, 0.03)
+    x, y = (each.ravel() for each in np.meshgrid(steps, steps))
+    below = np.column_stack([x, y, np.where(x < 0.0, 0.5, 1.5)])
+    above = np.column_stack([x, y, np.full(len(x), 1.0)])
+    for turn, points in ((np.diag([1.0, -1.0, -1.0]), below), (np.eye(3), above)):
+        for _ in range(4):
+            voxel_map.integrate(points, make_transform(turn, np.array([0.0, 0.0, 1.5])))
+    return voxel_map
+
+
+def test_a_room_opens_without_its_ceiling_and_any_height_can_be_cut(
+    window: Browser, pages: dict[str, Path]
+) -> None:
+    window.open(pages["map"])
+    told = "document.getElementById('cut-text').textContent"
+    assert 1.0 <= float(window.evaluate(told).removesuffix(" m")) < 2.5
+    click(window, "[data-camera=side]")
+    click(window, "input[name=axes]")
+    heights = []
+    for share in (None, 0.2, 1.0):
+        if share is not None:
+            move = f"s.value = {share} * s.max; s.dispatchEvent(new Event('input'))"
+            window.evaluate(f"(() => {{ const s = document.getElementById('cut'); {move}; }})()")
+        image = picture(window)
+        heights.append(float(np.ptp(np.argwhere((image != image[-1, -1]).any(axis=(1, 2))))))
+    assert window.evaluate(told) == "nothing"
+    table, floor, ceiling = heights
+    assert floor + 50.0 < table < ceiling - 50.0  # [px]
 
 
 def test_without_webgl_it_says_so_and_shows_the_pictures(report: Path, tmp_path: Path) -> None:

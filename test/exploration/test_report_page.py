@@ -256,7 +256,7 @@ def test_a_map_without_a_run_has_its_own_report(tmp_path: Path, voxel_map: Voxel
     figures = {"frames": 12, "voxel_size": 0.05}
     write_map_report(tmp_path / "r.html", tmp_path / "map", "Map", "From a bag.", figures)
     reader = Reader((tmp_path / "r.html").read_text("utf-8"))
-    assert reader.rows["parameters"][1:] == [["frames", "12"], ["voxel size", "0.05"]]
+    assert reader.rows["parameters"][1:] == [["frames", "12"], ["voxel size", "50\u2009mm"]]
     assert "views" not in reader.rows
 
 

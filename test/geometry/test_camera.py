@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import cv2
 import numpy as np
 import pytest
@@ -22,6 +24,22 @@ def calibration(camera: PinholeCamera, baseline: float = 0.0) -> CameraCalibrati
     return CameraCalibration(
         camera.width, camera.height, "plumb_bob", np.zeros(5), camera.matrix, np.eye(3), projection
     )
+
+
+@pytest.mark.parametrize(
+    ("row", "column", "value", "told"),
+    [
+        (0, 0, 4.2, r"fx = 4\.2 px is a field of view of 178\.5 deg"),  # in mm
+        (1, 1, 0.82, r"fy = 0\.82 px is a field of view"),  # as a share of the height
+        (0, 1, 52.4, r"skew P\[0, 1\] is 52\.4 px"),
+    ],
+)
+def test_what_is_not_plausible_is_named_with_its_value(row, column, value, told):
+    odd = calibration(CAMERA)
+    projection = odd.projection.copy()
+    projection[row, column] = value
+    with pytest.raises(CalibrationError, match=told):
+        dataclasses.replace(odd, projection=projection).rectified_camera()
 
 
 def test_project_agrees_with_opencv(rng):

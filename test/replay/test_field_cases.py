@@ -60,6 +60,11 @@ def test_the_folder_gives_what_its_file_gives(cases: Path, tmp_path: Path) -> No
 def test_types_that_are_not_used_need_not_be_understood(cases: Path) -> None:
     with BagReader(cases / "topics_and_services.mcap") as bag:
         assert len(list(bag.messages())) > 0
+        told = "definition of example_interfaces/srv/AddTwoInts_Event cannot be read"
+        assert [problem.partition(" ")[0] for problem in bag.problems if told in problem] == [
+            "/add_two_ints/_service_event",
+            "/add_two_ints2/_service_event",
+        ]
 
 
 def test_images_under_a_short_type_are_decoded(cases: Path) -> None:

@@ -10,7 +10,13 @@ import pytest
 import yaml
 
 from infomap_ros.errors import BagError
-from infomap_ros.geometry import CameraCalibration, CameraInfoRecord, ImageRecord
+from infomap_ros.geometry import (
+    CameraCalibration,
+    CameraInfoRecord,
+    ImageRecord,
+    TransformRecord,
+    rig_from_calibrations,
+)
 from infomap_ros.pipeline.range_estimator import DepthRangeEstimator, StereoRangeEstimator
 from infomap_ros.replay.bags.image_choice import ImageInputConfig, find_images
 from infomap_ros.replay.bags.reader import BagReader
@@ -87,6 +93,34 @@ def test_a_true_pair_is_taken_before_a_depth_camera(tmp_path: Path) -> None:
         write_camera(writer, "/right/image_rect", "mono8", baseline=0.1)
         write_camera(writer, "/depth/image_rect", "16UC1")
     assert chosen(tmp_path / "bag") == (("/left/image_rect", "/right/image_rect"), [])
+
+
+@pytest.mark.parametrize("baseline", [75.0, 0.0])  # in mm; not there at all
+def test_a_baseline_that_is_not_plausible_is_that_of_tf(tmp_path: Path, baseline: float) -> None:
+    with BagWriter(tmp_path / "bag") as writer:
+        place = np.eye(4)
+        for frame, x in (("left_optical", 0.01), ("right_optical", 0.085)):
+            place[0, 3] = x
+            record = TransformRecord(START, "rig", frame, place.copy(), is_static=True)
+            writer.write("/tf_static", record)
+        for side, meant in (("left", 0.0), ("right", baseline)):
+            frame = f"{side}_optical"
+            info = CameraInfoRecord(START, frame, calibration(meant))
+            writer.write(f"/{side}/camera_info", info)
+            pixels = np.zeros((48, 64), np.uint8)
+            writer.write(f"/{side}/image_rect", ImageRecord(START, frame, pixels, "mono8"))
+    with BagReader(tmp_path / "bag") as bag:
+        find_images(
+            bag,
+            ImageInputConfig(),
+            {},
+            lambda _, raw: StereoRangeEstimator(StereoConfig(), rectify=raw),
+        )
+        infos = [next(bag.records([f"/{side}/camera_info"])) for side in ("left", "right")]
+        assert f"is {baseline:g} m" in bag.problems[0]
+        assert "the 0.075 m of tf are taken" in bag.problems[0]
+    rig = rig_from_calibrations(*(info.record.calibration for info in infos))
+    assert rig.baseline == pytest.approx(0.075)
 
 
 def test_a_pipe_is_no_bag(tmp_path: Path) -> None:

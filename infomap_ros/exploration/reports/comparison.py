@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import html
 import json
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -24,6 +23,7 @@ from infomap_ros.exploration.reports.report_page.tables import (
     as_text,
     kinds_of_rejections,
     table,
+    with_unit,
     words,
 )
 from infomap_ros.exploration.task import TaskConfig
@@ -122,9 +122,9 @@ def _asked(run: RecordedRun) -> dict[str, object]:
         "robot": start.robot,
         "world": start.world,
         "strategy": start.strategy,
-        "voxel size [m]": start.voxel_size,
-        "range [m]": start.max_range,
-        **start.task,
+        "voxel size": quantity(start.voxel_size, "m"),
+        "range": quantity(start.max_range, "m"),
+        **{name: with_unit(name, value, TaskConfig) for name, value in start.task.items()},
     }
 
 
@@ -155,20 +155,15 @@ def _results(run: RecordedRun) -> dict[str, object]:
 
 def _numbers(found: RunFolder) -> dict[str, object]:
     """What a summary tells in numbers; words of it stand above the table."""
-    return {name: value for name, value in found.figures.items() if isinstance(value, int | float)}
+    numbers = {name: v for name, v in found.figures.items() if isinstance(v, int | float)}
+    return {name: with_unit(name, value) for name, value in numbers.items()}
 
 
 def _rows(columns: Iterator[Mapping[str, object]]) -> dict[str, list[str]]:
     """Rows of a table from its columns; a dash where a column does not have a row."""
     every = list(columns)
     names = dict.fromkeys(name for column in every for name in column)
-    return {name: [_text(column.get(name)) for column in every] for name in names}
-
-
-def _text(value: object) -> str:
-    if isinstance(value, float) and not math.isfinite(value):
-        return DASH
-    return as_text(value) or DASH
+    return {name: [as_text(column.get(name)) or DASH for column in every] for name in names}
 
 
 def _differences(rows: Mapping[str, Sequence[str]], runs: Mapping[str, RecordedRun]) -> str:

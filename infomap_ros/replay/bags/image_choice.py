@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, replace
 
-from infomap_ros.errors import BagError, CalibrationError
+import numpy as np
+
+from infomap_ros.errors import BagError, CalibrationError, InfomapError
 from infomap_ros.geometry import CameraInfoRecord, ImageRecord, Record
 from infomap_ros.geometry.camera import rig_from_calibrations
 from infomap_ros.geometry.config import check_config, parameter
+from infomap_ros.geometry.transform_tree import TransformTree
 from infomap_ros.pipeline.perception import ImageSources, Perception
 from infomap_ros.pipeline.range_estimator import DEPTH_ENCODINGS, RangeEstimator
 from infomap_ros.pipeline.view_estimator import ViewEstimator
-from infomap_ros.replay.bags.bag_contents import types_of
-from infomap_ros.replay.bags.reader import Recording
+from infomap_ros.replay.bags.bag_contents import static_transforms, tf_topics_of, types_of
+from infomap_ros.replay.bags.reader import BagReader, Recording
 from infomap_ros.replay.bags.topics import (
     DepthTopics,
     StereoTopics,
@@ -108,15 +112,48 @@ def _noted(bag: Recording, problem: str) -> str:
 
 def _why_no_pair(bag: Recording, pair: StereoTopics) -> str:
     """Why the camera infos of two images are not those of a stereo pair; empty where they are."""
-    infos = [_first(bag, topic) for topic in (pair.left_info, pair.right_info)]
-    if not all(isinstance(info, CameraInfoRecord) for info in infos):
+    left, right = (_first(bag, topic) for topic in (pair.left_info, pair.right_info))
+    if not (isinstance(left, CameraInfoRecord) and isinstance(right, CameraInfoRecord)):
         return ""
-    left, right = (info.calibration for info in infos if isinstance(info, CameraInfoRecord))
     try:
-        rig_from_calibrations(left, right)
+        rig_from_calibrations(left.calibration, right.calibration)
     except CalibrationError as error:
+        baseline = _baseline_by_tf(bag, left, right)
+        if baseline is not None and isinstance(bag, BagReader):
+            projection = right.calibration.projection.copy()
+            projection[0, 3] = left.calibration.projection[0, 3] - projection[0, 0] * baseline
+            mended = replace(right.calibration, projection=projection)
+            with suppress(CalibrationError):
+                rig_from_calibrations(left.calibration, mended)
+                bag.replaced[pair.right_info] = mended
+                _noted(bag, f"{error}; the {baseline:.4g} m of tf are taken")
+                return ""
         return f"{pair.left_image} and {pair.right_image} are no stereo pair: {error}"
     return ""
+
+
+_ASIDE = 0.05  # of the baseline of a rectified pair, that is not along its rows
+
+
+def _baseline_by_tf(
+    bag: Recording, left: CameraInfoRecord, right: CameraInfoRecord
+) -> float | None:
+    """How far the right camera is to the right of the left one by fixed transforms [m].
+
+    None where they do not tell, or not of two optical frames side by side.
+    """
+    tree = TransformTree()
+    try:
+        for edge in static_transforms(bag, tf_topics_of(types_of(bag))):
+            tree.add_transform(edge)
+        root = tree.root_of(left.frame_id)
+        T_root_left, T_root_right = (
+            tree.at(root, info.frame_id, info.stamp).transform for info in (left, right)
+        )
+    except InfomapError:
+        return None
+    across, *aside = (np.linalg.inv(T_root_left) @ T_root_right)[:3, 3]
+    return float(across) if np.linalg.norm(aside) < _ASIDE * across else None
 
 
 def _why_no_depth(bag: Recording, topics: DepthTopics) -> str:

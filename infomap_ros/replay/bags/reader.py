@@ -14,7 +14,8 @@ from typing import Protocol
 from backports import zstd
 
 from infomap_ros.errors import BagError, MalformedMessageError
-from infomap_ros.geometry.records import Record
+from infomap_ros.geometry.camera import CameraCalibration
+from infomap_ros.geometry.records import CameraInfoRecord, Record
 from infomap_ros.messages import DECODABLE_TYPES, decode
 from infomap_ros.replay.bags.blocks import Salvage, SalvagedSource
 from infomap_ros.replay.bags.bounds import bound_rosbags, check_lengths, check_tables, unpacked_cdr
@@ -104,6 +105,7 @@ class BagReader:
         end: receive time of the last message [ns].
         problems: what is damaged, in sentences; grows while reading.
         skipped: malformed messages by reason.
+        replaced: calibrations that are given in place of those of the camera infos, by topic.
     """
 
     def __init__(self, path: Path | str) -> None:
@@ -119,6 +121,12 @@ class BagReader:
         self.start, self.end = self._source.start, self._source.end
         self.topics = _by_topic(self._source.channels)
         self._store = typestore_of(self._source.channels)
+        self.replaced: dict[str, CameraCalibration] = {}
+        self.problems += [
+            f"{channel.topic} is left out: the definition of {channel.type_name} cannot be read"
+            for channel in self.topics.values()
+            if channel.definition and channel.type_name not in self._store.fielddefs
+        ]
 
     def _open(self) -> BagSource:
         if not self.path.exists():
@@ -201,6 +209,8 @@ class BagReader:
         for channel, stamp, data in self._raw(topics):
             try:
                 for record in self._decode(channel, stamp, data):
+                    if isinstance(record, CameraInfoRecord) and channel.topic in self.replaced:
+                        record = replace(record, calibration=self.replaced[channel.topic])
                     yield BagRecord(channel.topic, stamp, record)
             except MalformedMessageError as error:
                 self.skipped[f"{channel.topic}: {error}"] += 1

@@ -17,7 +17,7 @@ from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping.files.pictures import MapImage
 
 _SIZE = 820.0  # of the longer side of the drawing [px]
-_LEFT, _RIGHT, _TOP, _BOTTOM = 54.0, 12.0, 12.0, 44.0
+_LEFT, _RIGHT, _TOP, _BOTTOM = 78.0, 12.0, 12.0, 56.0  # room for 20 px of text on a phone
 
 
 class _Sheet:
@@ -95,16 +95,16 @@ def _axes(sheet: _Sheet) -> list[str]:
     for tick in round_ticks(sheet.low[0], sheet.high[0], 8):
         x, _ = sheet.place((tick, 0.0))
         parts.append(f'<line class="grid over" x1="{x}" x2="{x}" y1="{top}" y2="{bottom:.1f}"/>')
-        parts.append(f'<text class="tick mid" x="{x}" y="{bottom + 17:.1f}">{number(tick)}</text>')
+        parts.append(f'<text class="tick mid" x="{x}" y="{bottom + 20:.1f}">{number(tick)}</text>')
     for tick in round_ticks(sheet.low[1], sheet.high[1], 8):
         _, y = sheet.place((0.0, tick))
         parts.append(f'<line class="grid over" x1="{left}" x2="{right:.1f}" y1="{y}" y2="{y}"/>')
         parts.append(f'<text class="tick end" x="{left - 6}" y="{y + 4:.1f}">{number(tick)}</text>')
     middle = 0.5 * (top + bottom)
-    turn = f'transform="rotate(-90 14 {middle:.1f})"'
+    turn = f'transform="rotate(-90 20 {middle:.1f})"'
     parts.append(
         f'<text class="label mid" x="{0.5 * (left + right):.1f}" y="{sheet.height - 6:.1f}">'
-        f'x [m]</text><text class="label mid" x="14" y="{middle:.1f}" {turn}>y [m]</text>'
+        f'x [m]</text><text class="label mid" x="20" y="{middle:.1f}" {turn}>y [m]</text>'
     )
     return parts
 

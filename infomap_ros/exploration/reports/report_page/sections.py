@@ -217,10 +217,15 @@ def charts(
     """
     drawn = []
     for label, x_of in axes.items():
+        # Of what is told at one place, as of several lines of the log at one view, the last holds.
+        rows = {name: list({x_of(r): r for r in told}.values()) for name, told in runs.items()}
+        if axes is AXES and not any(x_of(r) > 0.0 for row in rows.values() for r in row):
+            drawn.append(f'<p class="wide">All stay at 0: no curves over {label}.</p>')
+            continue
         for title, unit, scaled, y_of in values:
             goal, high = (goals or {}).get(title), None if scaled else 100.0
             curves = []
-            for name, progress in runs.items():
+            for name, progress in rows.items():
                 xs, ys = [x_of(r) for r in progress], [y_of(r) for r in progress]
                 curves.append(Curve(title, unit, xs, ys, label, scaled, goal, 0.0, high, name))
             drawn.append(line_chart(*curves))
@@ -232,16 +237,9 @@ def curves(run: RecordedRun) -> str:
     progress = run.of(Progress)
     if not progress:
         return "<p>The log tells no progress.</p>"
-    goals = {"known precisely": goal_of(run)}
-    by_view = list({record.views: record for record in progress}.values())
-    drawn = charts({"": by_view}, {"views": AXES["views"]}, goals=goals)
-    note = ""
-    if any(record.distance > 0.0 for record in progress):
-        driven = "distance driven [m]"
-        drawn += charts({"": progress}, {driven: AXES[driven]}, goals=goals)
-    else:
-        note = "<p>The base did not drive, so there are no curves over distance.</p>"
-    return f'<div class="charts">{drawn}</div>{note}'
+    axes = {label: of for label, of in AXES.items() if label != "time [s]"}
+    drawn = charts({"": progress}, axes, goals={"known precisely": goal_of(run)})
+    return f'<div class="charts">{drawn}</div>'
 
 
 def goal_of(run: RecordedRun) -> float | None:

@@ -12,7 +12,14 @@ import numpy as np
 
 from infomap_ros.exploration.records.log_records import Decision, Message
 from infomap_ros.exploration.records.recorded_run import RUN_ENDED, RecordedRun, Step
-from infomap_ros.exploration.reports.report_page.axes import DASH, MINUS, duration, number, quantity
+from infomap_ros.exploration.reports.report_page.axes import (
+    DASH,
+    MINUS,
+    duration,
+    number,
+    percent,
+    quantity,
+)
 from infomap_ros.exploration.reports.report_page.scene import term_names, unit_of
 from infomap_ros.geometry.config import parameters_of
 
@@ -40,7 +47,7 @@ def table(
     body = []
     for place, row in enumerate(rows):
         if len(row) == 1:
-            cells = f'<td class="whole" colspan="{len(heads)}">{row[0]}</td>'
+            cells = f'<td class="whole" colspan="{len(heads)}"><div>{row[0]}</div></td>'
         else:
             cells = "".join(f"<td{c}>{cell}</td>" for c, cell in zip(classes, row, strict=True))
         body.append(f"<tr{attributes[place] if attributes else ''}>{cells}</tr>")
@@ -178,10 +185,38 @@ def parameters_table(parameters: Mapping[str, object], config: type | None = Non
     rows, marks = [], []
     for name, value in parameters.items():
         info = told[name][1] if name in told else None
-        unit = f"\u2009{info.unit}" if info and info.unit else ""
-        rows.append([html.escape(words(name)), html.escape(as_text(value) + unit)])
+        rows.append([html.escape(words(name)), html.escape(with_unit(name, value, config))])
         marks.append(f' title="{html.escape(info.description)}"' if info else "")
     return table(["name", "#value"], rows, "parameters", marks)
+
+
+_UNITS = {
+    r"\w*(_coverage|_fraction)|within_\d_sigma": "%",
+    r"(\w+_)?seconds(_\w+)?": "s",
+    r"\w+_turn_\w+": "rad",
+    r"(\w+_)?(distance|length|range|size|sigma|error)(_\w+)?": "m",
+    r"\w+_bytes": "B",
+}
+"""Of figures whose name begins or ends so; the first that fits holds."""
+
+
+def with_unit(name: str, value: object, config: type | None = None) -> str:
+    """A value as text: of a field of a configuration with its unit, else of a figure of a run."""
+    told = {} if config is None else parameters_of(config)
+    text = as_text(value)
+    if name in told:
+        return f"{text}\u2009{told[name][1].unit}".rstrip() if text else DASH
+    unit = next((unit for names, unit in _UNITS.items() if re.fullmatch(names, name)), "")
+    values = [each for each in _several(value) if isinstance(each, int | float)]
+    if not unit or len(values) < len(_several(value)):
+        return text or DASH
+    if unit == "%":
+        return ", ".join(percent(float(each)) for each in values)
+    return ", ".join(quantity(float(each), unit, 4) for each in values)
+
+
+def _several(value: object) -> list[object]:
+    return value if isinstance(value, list) else [value]
 
 
 def words(name: str) -> str:

@@ -66,27 +66,30 @@ function paintAxes(context, viewer) {
     edges.push({ name: "z", at: (v) => [...corner, v], ticks: roundTicks(low[2], high[2], 3), end: high[2], left: true });
   }
   context.fillStyle = colors.soft;
-  for (const edge of edges) paintEdge(context, orbit, edge, middle);
+  const taken = ["hint", "legend"].map(byId).map((e) => [e.offsetLeft, e.offsetTop, e.offsetLeft + e.offsetWidth, e.offsetTop + e.offsetHeight]);
+  for (const edge of edges) {  // the names first: a tick that has no room beside them is left out
+    const center = 0.5 * (edge.ticks[0] + edge.ticks.at(-1));
+    if (edge.left) paintBeside(context, orbit, edge, edge.end, `${edge.name} [m]`, 30, middle, taken);
+    else paintBeside(context, orbit, edge, center, `${edge.name} [m]`, 32, middle, taken);
+  }
+  for (const edge of edges) for (const tick of edge.ticks) paintBeside(context, orbit, edge, tick, number(tick), 12, middle, taken);
 }
 
-function paintEdge(context, orbit, edge, middle) {
-  let last = null;
-  const text = (value, label, away) => {
-    const p = orbit.project(edge.at(value));
-    if (!p) return;
-    const side = edge.left ? [-1, 0] : unit([p[0] - middle[0], Math.max(p[1] - middle[1], 30), 0]);
-    const at = [p[0] + away * side[0], p[1] + away * side[1]];
-    if (last && Math.hypot(at[0] - last[0], at[1] - last[1]) < 26) return;
-    last = at;
-    context.textAlign = side[0] > 0.35 ? "left" : side[0] < -0.35 ? "right" : "center";
-    const room = context.textAlign === "right" ? context.measureText(label).width + 3 : 0;
-    context.fillText(label, Math.max(at[0], room), at[1]);
-  };
-  for (const tick of edge.ticks) text(tick, number(tick), 12);
-  last = null;
-  const center = 0.5 * (edge.ticks[0] + edge.ticks.at(-1));
-  if (edge.left) text(edge.end, `${edge.name} [m]`, 30);
-  else text(center, `${edge.name} [m]`, 32);
+// A text so far away from a place of an edge [px], within the picture, unless its room is taken.
+function paintBeside(context, orbit, edge, value, label, away, middle, taken) {
+  const p = orbit.project(edge.at(value));
+  if (!p) return;
+  const side = edge.left ? [-1, 0] : unit([p[0] - middle[0], Math.max(p[1] - middle[1], 30), 0]);
+  const width = context.measureText(label).width, margin = 5;
+  const share = side[0] > 0.35 ? 0 : side[0] < -0.35 ? 1 : 0.5;
+  const within = (v, size) => Math.max(margin, Math.min(v, size - margin));
+  const left = within(p[0] + away * side[0] - share * width, context.canvas.clientWidth - width);
+  const y = within(p[1] + away * side[1], context.canvas.clientHeight - 5);
+  const box = [left - margin, y - 5 - margin, left + width + margin, y + 5 + margin];
+  if (taken.some((b) => box[0] < b[2] && b[0] < box[2] && box[1] < b[3] && b[1] < box[3])) return;
+  taken.push([left, y - 5, left + width, y + 5]);
+  context.textAlign = "left";
+  context.fillText(label, left, y);
 }
 
 function paintLegend(viewer) {

@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from given_landmarks import STARRY_NIGHT, landmark_section, starry_night
 from localize_sequences import ROOT, SEQUENCES, add_folders, bag_of, compare, views_of
 from trajectory_errors import truth_at
 
@@ -236,6 +237,7 @@ def page(figures: Row) -> str:
     ]
     lines += [
         "",
+        *landmark_section(figures["landmarks"]),
         "## Range",
         "",
         "Density: measured pixels of those with a truth; bad: off by more than 3 px. Within 1, 2, "
@@ -311,6 +313,9 @@ def main() -> None:
             PAGE.write_text(with_map(PAGE.read_text("utf-8"), rows), encoding="utf-8")
         return
     figures["localization"] = localization(arguments.data, arguments.work, absent)
+    given = arguments.data / STARRY_NIGHT
+    figures["landmarks"] = [starry_night(given)] if given.is_file() else []
+    absent += [] if given.is_file() else ["starry_night"]
     figures["range"] = stereo_range(arguments.data, absent)
     figures["room"] = room(arguments.data, arguments.work, absent)
     figures |= {"absent": absent, "minutes": (time.monotonic() - begin) / 60.0}

@@ -24,8 +24,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "test"))
 from localization.model_scenes import CloudView, box, bracket, knobbed_box, range_map, some_pose
 from localization.tag_scenes import BoardView, pose_error, seen_from, single_tag
 
+from infomap_ros.localization.target.config import ModelTargetConfig
 from infomap_ros.localization.target.model_shape import shape_from_triangles
-from infomap_ros.localization.target.model_target import ModelTargetConfig, ModelTargetDetector
+from infomap_ros.localization.target.model_target import ModelTargetDetector
 from infomap_ros.localization.target.tag_board import TagBoard
 from infomap_ros.localization.target.tag_detector import TagTargetConfig, TagTargetDetector
 from infomap_ros.localization.target.target import TargetRefusal, TargetSighting

@@ -72,6 +72,8 @@ def tags(
         _write(rows, out / "tags.csv")
     if sys.stdout.isatty():
         typer.echo(f"  {out}/*_tags.png  the photos with their tags\n  {out / 'tags.csv'}  corners")
+        if not calibration:
+            typer.echo("  where each tag is needs --side and --calibration")
     else:
         typer.echo(json.dumps({"photos": read, "tags": len(rows)}))
     if not read:

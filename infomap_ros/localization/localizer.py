@@ -34,6 +34,7 @@ from infomap_ros.localization.localized_camera import Choice, LocalizedCamera, S
 from infomap_ros.localization.localizer_config import LocalizerConfig
 from infomap_ros.localization.recovery import Recovery
 from infomap_ros.localization.scene_fiducials import SceneFiducials
+from infomap_ros.localization.target.scene_tags import SceneTags
 from infomap_ros.localization.target.target import TargetDetector
 from infomap_ros.localization.target.watch import TargetWatch, is_certain, moved
 from infomap_ros.mapping import VoxelMap
@@ -107,7 +108,8 @@ class Localizer(KnownMap):
         given = np.zeros((6, 6)) if covariance is None else covariance
         self._begin_covariance = check_covariance(given, 6)
         pose_filter = FiducialFilter(camera, self.config.filter)
-        super().__init__(pose_filter, SceneFiducials(camera, self.config, pose_filter))
+        tags = SceneTags(self.config.scene_tags, getattr(detector, "board", None))
+        super().__init__(pose_filter, SceneFiducials(camera, self.config, pose_filter, tags))
         self._watch = TargetWatch(detector, self.config)
         self._recovery = Recovery(camera, self.config, self._filter, self._scene)
         self.reset()
@@ -374,8 +376,9 @@ class Localizer(KnownMap):
         elif moved(self._recalled, self._filter.pose[0], self.config):
             tracked += self._recovery.return_to_known(view)
             self._recalled = self._filter.pose[0]
-        if tracked < self.config.fewest_fiducials:
-            self._scene.replenish(view, self.config.wanted_fiducials - tracked, chosen)
+        few = tracked < self.config.fewest_fiducials
+        wanted = self.config.wanted_fiducials - tracked if few else 0
+        self._scene.replenish(view, wanted, chosen)
 
     def _conclude(
         self, view: RangeView, reason: str, tracked: int, target_seen: bool, keep: bool

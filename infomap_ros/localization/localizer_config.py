@@ -14,6 +14,7 @@ from infomap_ros.localization.fiducials.selection import FiducialSelectionConfig
 from infomap_ros.localization.fiducials.tracker import FiducialTrackerConfig
 from infomap_ros.localization.filter.config import FiducialFilterConfig
 from infomap_ros.localization.filter.free_motion import FreeMotionConfig
+from infomap_ros.localization.target.scene_tags import SceneTagsConfig
 from infomap_ros.mapping.scans.body import BodyFilterConfig
 
 
@@ -123,6 +124,7 @@ class LocalizerConfig:
     tracker: FiducialTrackerConfig = field(default_factory=FiducialTrackerConfig)
     filter: FiducialFilterConfig = field(default_factory=FiducialFilterConfig)
     free_motion: FreeMotionConfig = field(default_factory=FreeMotionConfig)
+    scene_tags: SceneTagsConfig = field(default_factory=SceneTagsConfig)
 
     def __post_init__(self) -> None:
         check_config(self)

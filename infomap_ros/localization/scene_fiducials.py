@@ -30,6 +30,7 @@ from infomap_ros.localization.filter.motion_prior import MotionPrior
 from infomap_ros.localization.filter.records import Fiducials, FilterUpdate
 from infomap_ros.localization.localized_camera import Choice
 from infomap_ros.localization.localizer_config import LocalizerConfig
+from infomap_ros.localization.target.scene_tags import SceneTags
 from infomap_ros.mapping.scans.body import body_mask
 
 _SEEN_THROUGH = 3  # contradictions in a row after which a fiducial is given up
@@ -46,12 +47,18 @@ class SceneFiducials:
         camera: that sees them.
         config: how many are wanted.
         pose_filter: knows where they are.
+        tags: of the scene.
     """
 
     def __init__(
-        self, camera: PinholeCamera, config: LocalizerConfig, pose_filter: FiducialFilter
+        self,
+        camera: PinholeCamera,
+        config: LocalizerConfig,
+        pose_filter: FiducialFilter,
+        tags: SceneTags,
     ) -> None:
         self._camera, self._config, self._filter = camera, config, pose_filter
+        self._tags = tags
         self._tracker = FiducialTracker(config.tracker)
         self._next = 0
         self._contradicted: dict[int, int] = {}  # times in a row
@@ -73,11 +80,12 @@ class SceneFiducials:
             T_map_camera: where the camera is expected, shape (4, 4); None where it may be
                 anywhere near.
         """
-        if T_map_camera is None:
-            return self._tracker.track(view)
-        known = self._filter.fiducials()
-        followed = np.isin(known.ids, self._tracker.ids)
-        return self._tracker.track(view, self._pixels_by_id(known, followed, T_map_camera))
+        expected: Mapping[int, FloatArray] | None = None
+        if T_map_camera is not None:
+            known = self._filter.fiducials()
+            followed = np.isin(known.ids, self._tracker.ids)
+            expected = self._pixels_by_id(known, followed, T_map_camera)
+        return joined(self._tracker.track(view, expected), self._tags.observe(view))
 
     def recall(
         self, view: RangeView, T_map_camera: FloatArray, radius: float
@@ -175,8 +183,9 @@ class SceneFiducials:
         self._at_update = dict(zip(seen.ids.tolist(), seen.pixels, strict=True))
         place = viewpoint(self._filter.pose[0])
         for number in update.used.tolist():
-            self._seen_from[number] = place
             self._contradicted.pop(number, None)
+            if number >= 0:
+                self._seen_from[number] = place
         for number in update.rejected.tolist():
             self._contradicted[number] = self._contradicted.get(number, 0) + 1
         bad = [n for n, count in self._contradicted.items() if count >= _SEEN_THROUGH]
@@ -188,16 +197,29 @@ class SceneFiducials:
         count: int,
         chosen: Choice,
     ) -> int:
-        """Choose new fiducials and tell the filter where they are.
+        """Choose new fiducials and tell the filter where they are, and where new tags are.
 
         Args:
             view: that was tracked last.
-            count: most new ones.
+            count: most new fiducials.
             chosen: what decides on them.
 
         Returns:
-            Number of new ones.
+            Number of new fiducials.
         """
+        known = self._filter.fiducials().ids
+        for ids, points, covariance in self._tags.unknown(view, known):
+            if self._is_of_scene(points, chosen).all():
+                self._filter.add_landmarks(ids, points, covariance)
+        added = self._choose(view, count, chosen) if count else np.zeros(0, np.int64)
+        forgotten = np.setdiff1d(known, self._filter.fiducials().ids)
+        self._tracker.remove(forgotten)
+        for number in forgotten.tolist():
+            self._seen_from.pop(number, None)
+        self._seen_from.update(dict.fromkeys(added.tolist(), viewpoint(self._filter.pose[0])))
+        return len(added)
+
+    def _choose(self, view: RangeView, count: int, chosen: Choice) -> NDArray[np.int64]:
         voxel_map, T_map_camera = chosen.voxel_map, self._filter.pose[0]
         pose = None if voxel_map is None else T_map_camera
         pixels = select_fiducials(
@@ -206,21 +228,20 @@ class SceneFiducials:
         ids = np.arange(self._next, self._next + len(pixels))
         self._next += len(pixels)
         seen = self._tracker.add(view, ids, pixels)
-        for bodies, frame, own in (
-            (chosen.body, np.eye(4), True),
-            (chosen.others, T_map_camera, False),
-        ):
-            if len(bodies):
-                points = transform_points(frame, seen.points(self._camera))
-                seen = seen.select(~body_mask(points, None, bodies, self._config.body, rays=own))
-        held = self._filter.fiducials().ids
+        seen = seen.select(self._is_of_scene(seen.points(self._camera), chosen))
         added = self._filter.add(seen)
-        forgotten = np.setdiff1d(held, self._filter.fiducials().ids)
-        self._tracker.remove(np.concatenate([np.setdiff1d(ids, added), forgotten]))
-        for number in forgotten.tolist():
-            self._seen_from.pop(number, None)
-        self._seen_from.update(dict.fromkeys(added.tolist(), viewpoint(self._filter.pose[0])))
-        return len(added)
+        self._tracker.remove(np.setdiff1d(ids, added))
+        return added
+
+    def _is_of_scene(self, points: FloatArray, chosen: Choice) -> NDArray[np.bool_]:
+        """Which points in the camera frame are on no robot, shape (N,)."""
+        free = np.ones(len(points), bool)
+        bodies = (chosen.body, np.eye(4), True), (chosen.others, self._filter.pose[0], False)
+        for solids, frame, own in bodies:
+            if len(solids):
+                placed = transform_points(frame, points)
+                free &= ~body_mask(placed, None, solids, self._config.body, rays=own)
+        return free
 
     def move(self, T_new_old: FloatArray) -> None:
         """The map's frame was put elsewhere, shape (4, 4)."""

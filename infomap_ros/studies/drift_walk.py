@@ -15,10 +15,10 @@ from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry import invert_transform
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.localization.fiducials.observations import FiducialObservations
-from infomap_ros.localization.filter.camera_motion import estimate_motion, printed_motion
 from infomap_ros.localization.filter.config import FiducialFilterConfig
 from infomap_ros.localization.filter.fiducial_filter import FiducialFilter
 from infomap_ros.localization.filter.free_motion import free_motion
+from infomap_ros.studies.camera_motion import estimate_motion, printed_motion
 from infomap_ros.studies.fiducial_walk import CAMERA, WalkConfig, WalkFrame, walk
 
 NECESSARY = 4

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 from infomap_ros.cli.late_commands import new_app
 from infomap_ros.cli.tags_command import tags
 from infomap_ros.errors import InvalidInputError
-from infomap_ros.localization.target.tag_board import TagBoardConfig
+from infomap_ros.localization.target.tag_board import FAMILIES, TagBoardConfig
 from infomap_ros.localization.target.tag_detection import TagFinder
 from infomap_ros.localization.target.tag_drawing import draw_board
 
@@ -96,6 +96,27 @@ def test_tags_that_repeat_and_photos_without_a_tag_or_of_one_name(tmp_path):
         "alike_1_tags.png",
         "blank_1_tags.png",
     ]
+
+
+def test_what_a_place_needs_is_said(photo, tmp_path):
+    (tmp_path / "k.txt").write_text(f"{FOCAL} 0 319.5\n0 {FOCAL} 239.5\n0 0 1\n")
+    for given in (("--side", SIDE), ("--calibration", tmp_path / "k.txt")):
+        done = run(photo, "--out", tmp_path / "out", *given)
+        assert isinstance(done.exception, InvalidInputError)
+        assert "--calibration" in str(done.exception) and "--side" in str(done.exception)
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_tags_of_every_family_are_found_by_their_family(family, tmp_path):
+    page = np.full((480, 640), 255, np.uint8)
+    drawn = draw_board(TagBoardConfig(family, columns=1, rows=1, first_id=3), 900.0)
+    page[100 : 100 + drawn.shape[0], 200 : 200 + drawn.shape[1]] = drawn
+    cv2.imwrite(str(tmp_path / "one.png"), page)
+    done = run(tmp_path / "one.png", "--out", tmp_path / "out", "--family", family)
+    assert done.exit_code == 0, done.output
+    rows = list(csv.DictReader((tmp_path / "out" / "tags.csv").open(encoding="utf-8")))
+    assert [(row["family"], row["id"]) for row in rows] == [(family, "3")]
 
 
 def test_that_no_photo_could_be_read_is_said(tmp_path):

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+
 import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from infomap_ros.geometry import PinholeCamera, make_transform
 from infomap_ros.localization.fiducials.range_view import DepthView
+from infomap_ros.localization.target.tag_board import TagBoardConfig
+from infomap_ros.localization.target.tag_drawing import draw_board
 from infomap_ros.stereo import DepthCameraSensor
 
 CAMERA = PinholeCamera(320, 240, 260.0, 260.0, 159.5, 119.5)
@@ -33,13 +37,38 @@ def _texture(seed: int) -> np.ndarray:
 _TEXTURES = [_texture(seed) for seed in range(6)]
 
 
+def with_tags(
+    side: float, places: Mapping[int, tuple[int, float, float]], first: int = 0
+) -> list[np.ndarray]:
+    """The room's walls with tags 36h11 on them.
+
+    Args:
+        side: of the black squares [m].
+        places: number of the wall, and where on it the middle is along its two axes [m], by id.
+        first: pattern of the first wall.
+    """
+    walls = [_TEXTURES[(first + i) % len(_TEXTURES)].copy() for i in range(6)]
+    for one, (number, *place) in places.items():
+        board = TagBoardConfig(side=side, columns=1, rows=1, margin=side / 8.0, first_id=one)
+        drawn = draw_board(board, _TEXELS)
+        # Walls are drawn along the map's axes: some are seen from behind.
+        drawn = drawn[:, ::-1] if number in (0, 3) else drawn
+        across = [k for k in range(3) if k != number // 2]
+        u, v = (int((p + HALF[k]) * _TEXELS) for p, k in zip(place, across, strict=True))
+        rows, columns = drawn.shape
+        walls[number][v - rows // 2 :, u - columns // 2 :][:rows, :columns] = drawn
+    return walls
+
+
 def looking(position: tuple[float, float, float], yaw: float, pitch: float = 0.0) -> np.ndarray:
     """T_map_camera of a camera that looks along a heading; map z is up, shape (4, 4)."""
     level = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
     return make_transform(Rotation.from_euler("zy", [yaw, pitch]).as_matrix() @ level, position)
 
 
-def view(stamp: int, T_map_camera: np.ndarray, seed: int = 0) -> DepthView:
+def view(
+    stamp: int, T_map_camera: np.ndarray, seed: int = 0, walls: Sequence[np.ndarray] = _TEXTURES
+) -> DepthView:
     """What a depth camera sees: brightness noise of 1.5 gray levels, depth noise of its model."""
     rng = np.random.default_rng(seed)
     directions = _RAYS @ T_map_camera[:3, :3].T
@@ -56,7 +85,7 @@ def view(stamp: int, T_map_camera: np.ndarray, seed: int = 0) -> DepthView:
         across = [k for k in range(3) if k != number // 2]
         u, v = ((places[..., k] + HALF[k]) * _TEXELS for k in across)
         drawn = cv2.remap(
-            _TEXTURES[number], u.astype(np.float32), v.astype(np.float32), cv2.INTER_LINEAR,
+            walls[number], u.astype(np.float32), v.astype(np.float32), cv2.INTER_LINEAR,
             borderMode=cv2.BORDER_WRAP,
         )  # fmt: skip
         image[on] = drawn[on]

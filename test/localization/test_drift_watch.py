@@ -45,5 +45,3 @@ def test_those_forgotten_or_never_seen_do_not_move() -> None:
     watch.add(np.array([1, 2]), np.full((2, 3), 9.0))
     watch.forget(np.array([1]))
     assert watch.is_drifting(np.array([1, 2, 3])).tolist() == [False, True, False]
-    watch.clear()
-    assert not watch.is_drifting(np.array([2])).any()

@@ -11,13 +11,13 @@ from scipy.spatial.transform import Rotation
 from infomap_ros.errors import ConfigError, InvalidInputError
 from infomap_ros.geometry import make_transform, perturb_transform, transform_points
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.localization.target.config import TargetConfig, make_detector
+from infomap_ros.localization.target.config import ModelTargetConfig, TargetConfig, make_detector
 from infomap_ros.localization.target.model_check import check_pose, flat_share, visible_points
 from infomap_ros.localization.target.model_fit import ModelFitter
 from infomap_ros.localization.target.model_scene import ModelScene, on_large_planes
 from infomap_ros.localization.target.model_search import register
 from infomap_ros.localization.target.model_shape import ModelShape, load_model, shape_from_triangles
-from infomap_ros.localization.target.model_target import ModelTargetConfig, ModelTargetDetector
+from infomap_ros.localization.target.model_target import ModelTargetDetector
 from infomap_ros.localization.target.point_pairs import build_table, vote
 from infomap_ros.localization.target.target import TargetRefusal, TargetSighting
 

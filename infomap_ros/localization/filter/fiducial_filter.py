@@ -278,6 +278,24 @@ class FiducialFilter:
         self._history.begin(new.ids)
         return new.ids
 
+    def add_landmarks(
+        self, ids: ArrayLike, points: ArrayLike, covariance: ArrayLike, *, in_map: bool = False
+    ) -> None:
+        """Add points that are never taken for others: one in view is enough for an update.
+
+        Args:
+            ids: below zero, shape (M,), none of them known.
+            points: in the camera frame, as a known size tells them, or in the map, (M, 3) [m].
+            covariance: of all together, shape (3M, 3M) [m^2].
+            in_map: whether the points are in the map.
+        """
+        names, places = np.asarray(ids, np.int64), np.asarray(points, np.float64)
+        self._take_motion()
+        self._make_room(len(names))
+        add = self._state.place_fiducials if in_map else self._state.add_fiducials
+        add(names, places, np.asarray(covariance, np.float64))
+        self._history.begin(names)
+
     def observe_pose(self, T_map_camera: ArrayLike, covariance: ArrayLike) -> bool:
         """Correct everything by an absolute pose, as of the target.
 

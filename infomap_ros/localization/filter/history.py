@@ -64,11 +64,6 @@ class DriftWatch:
             self._sums.pop(number, None)
             self._variances.pop(number, None)
 
-    def clear(self) -> None:
-        """Forget all fiducials."""
-        self._sums.clear()
-        self._variances.clear()
-
 
 _FAR = 10.0  # [standard deviations], beyond which an innovation counts as this large
 
@@ -127,8 +122,11 @@ class FiducialHistory:
         return np.array([self._times[number] > 1 for number in ids.tolist()], bool)
 
     def least_useful(self, ids: IntArray, count: int) -> IntArray:
-        """Those of the fiducials that served least often, of these the longest ago, (count,)."""
-        order = sorted(ids.tolist(), key=lambda number: (self._times[number], self._last[number]))
+        """Those of the fiducials that served least often, of these the longest ago, (count,).
+
+        Landmarks, whose ids are negative, come last.
+        """
+        order = sorted(ids.tolist(), key=lambda n: (n < 0, self._times[n], self._last[n]))
         return np.array(order[:count], np.int64)
 
     def forget(self, ids: IntArray) -> None:

@@ -173,10 +173,30 @@ def explain(
         chosen, reason = choose(found, contested, int(voters.sum()), config)
         if chosen is not None and share_told(state, chosen, image.indices) < config.overruling_told:
             return None, CONTRADICTION, False
-    if chosen is None:
-        return None, reason, overruled
-    chosen = _supported(state, _joined(state, chosen, image, admitted, config), image, config)
-    return chosen, "" if chosen is not None else UNSUPPORTED, overruled
+    if chosen is not None:
+        chosen = _supported(state, _joined(state, chosen, image, admitted, config), image, config)
+        reason = "" if chosen is not None else UNSUPPORTED
+    if chosen is None and not overruled:
+        chosen = _by_landmarks(state, prior, image, admitted & (image.ids < 0), config)
+        reason = reason if chosen is None else ""
+    return chosen, reason, overruled
+
+
+def _by_landmarks(
+    state: InvariantState,
+    prior: MotionPrior,
+    image: Image,
+    landmarks: BoolArray,
+    config: FiducialFilterConfig,
+) -> Hypothesis | None:
+    """What the landmarks of a mask, shape (M,), say, be it one: each is what it is taken for."""
+    expected = Expectation.at(state, prior, state.T_map_camera @ prior.T_before_after)
+    group = Group(image.indices, image.measured, landmarks, landmarks)
+    found = examine(state, expected, group, config, least=1)
+    if found is None or 2 * found.count <= np.count_nonzero(landmarks):
+        return None
+    is_sound = found.has_plausible_residuals(config) and found.has_plausible_motion(config)
+    return found if is_sound else None
 
 
 def _joined(
@@ -206,6 +226,7 @@ def _supported(
     members = np.flatnonzero(chosen.members)
     sight = chosen.expectation.sight(state, image.indices[members], image.measured.select(members))
     enough = controlled(sight, chosen.correction.jacobian, config.min_redundancy)
+    enough |= image.ids[members] < 0
     if enough.all():
         return chosen
     rest, undecided = chosen.members.copy(), np.zeros(len(image.ids), bool)

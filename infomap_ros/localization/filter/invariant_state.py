@@ -235,20 +235,49 @@ class InvariantState:
         Args:
             ids: shape (M,), none of them there yet.
             points: in the camera frame, by the calibration as it is known, shape (M, 3) [m].
-            covariances: of the points beside that of the calibration, shape (M, 3, 3) [m^2].
+            covariances: of the points beside that of the calibration, shape (M, 3, 3) [m^2]; of all
+                together, shape (3M, 3M), where a size tells how far off they are, not a range.
         """
+        by_size = covariances.ndim == 2
         rotation = self.T_map_camera[:3, :3]
         first = self._blocks
         blocks = np.arange(first, first + len(ids), dtype=np.int64)
         self._copy_blocks(np.full(len(ids), CAMERA_XI))
         rows, P = _rows(blocks), self.P
-        shifts, added = (rotation @ calibration_shifts(points)).reshape(-1, 3), rows.ravel()
+        shifts, added = calibration_shifts(points), rows.ravel()
+        if by_size:
+            shifts[:, :, ::2] = 0.0
+            shifts[:, 2, 2] = points[:, 2]  # a tag in a longer lens looks nearer
+        shifts = (rotation @ shifts).reshape(-1, 3)
         self.considered[added] += shifts @ self.considered[CALIBRATION]
         P[added] += shifts @ P[CALIBRATION]
         P[:, added] += P[:, CALIBRATION] @ shifts.T
-        self._buffer[rows[:, :, None], rows[:, None, :]] += rotation @ covariances @ rotation.T
+        if by_size:
+            turn = np.kron(np.eye(len(ids)), rotation)
+            self._buffer[np.ix_(added, added)] += turn @ covariances @ turn.T
+        else:
+            self._buffer[rows[:, :, None], rows[:, None, :]] += rotation @ covariances @ rotation.T
+        self._name(ids, points @ rotation.T + self.T_map_camera[:3, 3], blocks)
+
+    def place_fiducials(self, ids: IntArray, positions: FloatArray, covariance: FloatArray) -> None:
+        """Add points whose places in the map are given.
+
+        Args:
+            ids: shape (M,), none of them there yet.
+            positions: shape (M, 3) [m].
+            covariance: of all together, shape (3M, 3M) [m^2].
+        """
+        blocks = np.arange(self._blocks, self._blocks + len(ids), dtype=np.int64)
+        self._copy_blocks(np.full(len(ids), CAMERA_THETA))
+        rows, over = _rows(blocks), skews(positions)  # whatever theta is: xi = noise + f x theta
+        for errors in (self.P, self.P.T, self.considered):
+            errors[rows] = over @ errors[rows]
+        self._buffer[np.ix_(rows.ravel(), rows.ravel())] += covariance
+        self._name(ids, positions, blocks)
+
+    def _name(self, ids: IntArray, positions: FloatArray, blocks: IntArray) -> None:
         self.ids = np.concatenate([self.ids, ids])
-        self.positions = np.vstack([self.positions, points @ rotation.T + self.T_map_camera[:3, 3]])
+        self.positions = np.vstack([self.positions, positions])
         self._fiducial_blocks = np.concatenate([self._fiducial_blocks, blocks])
 
     def keep_pose(self, stamp: int) -> None:

@@ -162,6 +162,7 @@ def examine(
     expectation: Expectation,
     group: Group,
     config: FiducialFilterConfig,
+    least: int = _LEAST,
 ) -> Hypothesis | None:
     """Find out which fiducials agree with a group of them.
 
@@ -170,9 +171,10 @@ def examine(
         expectation: linearized at about the pose.
         group: of fiducials.
         config: gates.
+        least: number of them.
 
     Returns:
-        The hypothesis; None where fewer than three agree.
+        The hypothesis; None where fewer agree.
     """
     measured, members = group.measured, group.members
     sight = expectation.sight(state, group.indices, measured)
@@ -180,7 +182,7 @@ def examine(
     gates = chdtri(freedom, 1.0 - config.fiducial_gate)
     correction: Correction | None = None
     for _ in range(_ROUNDS):
-        if np.count_nonzero(members) < _LEAST:
+        if np.count_nonzero(members) < least:
             return None
         compared = _compared(sight, members)
         if compared is None:

@@ -7,15 +7,14 @@ symmetric model do; refinement with the covariances of the points.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from infomap_ros.errors import ConfigError
 from infomap_ros.geometry import transform_points
-from infomap_ros.geometry.config import check_config, parameter, setting
 from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.localization.target.config import ModelTargetConfig
 from infomap_ros.localization.target.model_fit import ModelFitter
 from infomap_ros.localization.target.model_rivals import PoseComparison
 from infomap_ros.localization.target.model_scene import ModelScene
@@ -33,55 +32,6 @@ _SAME_PLACE = 0.05  # poses nearer than this share of the diameter and
 _SAME_OBJECT = 0.5  # as is the object of poses nearer than this
 _SAME_TURN = 0.2  # [rad] are the same
 _CLEARLY_WORSE = 0.5  # poses that score less by this are none
-
-
-@dataclass(frozen=True)
-class ModelTargetConfig:
-    """A CAD model as target, and when a sighting of it is believed.
-
-    Raises:
-        ConfigError: a value is out of its range.
-    """
-
-    file: str = parameter("", "Mesh of the target: .obj, .stl, .ply, .dae and others.")
-    scale: float = parameter(1.0, "Meters per unit of the mesh.", unit="m", low=1e-6, high=1000.0)
-    tolerance: float = setting(
-        0.015,
-        "Difference of depth that agrees, beside 3 sigma, as a share of the model's diameter.",
-        low=0.001,
-        high=0.1,
-    )
-    min_score: ClassVar[float] = 0.82
-    """Smallest share of the visible surface that must agree, less what is seen through."""
-    max_seen_through: ClassVar[float] = 0.1
-    """Largest share of the visible surface with range behind it."""
-    distinction: float = setting(
-        0.05,
-        "By how much less any other pose must score; less is ambiguous, as for a symmetric model.",
-        low=0.0,
-        high=1.0,
-    )
-    min_evidence: ClassVar[int] = 40
-    """Points of the visible surface, a fiftieth of the diameter apart, that must tell a pose from
-    any other at the same place, as those of a handle do; fewer are ambiguous.
-    """
-    max_against: ClassVar[float] = 0.25
-    """Largest share of them that may speak for the other pose."""
-    max_flat: float = setting(
-        0.6,
-        "Largest share of the visible surface that may lie on one plane, which could be anything.",
-        low=0.1,
-        high=1.0,
-    )
-    surface_sigma: ClassVar[float] = 0.001
-    """How far the real surface is from the mesh [m]."""
-    max_position_sigma: ClassVar[float] = 0.05
-    """A less certain position is refused [m]."""
-    max_rotation_sigma: ClassVar[float] = 0.1
-    """A less certain rotation is refused [rad]."""
-
-    def __post_init__(self) -> None:
-        check_config(self)
 
 
 class ModelTargetDetector:

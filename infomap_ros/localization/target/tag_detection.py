@@ -308,6 +308,10 @@ class Tags(NamedTuple):
     corners: FloatArray
     covariances: FloatArray
 
+    def select(self, mask: NDArray[np.bool_]) -> Tags:
+        """Some of them: mask, shape (T,)."""
+        return Tags(self.ids[mask], self.corners[mask], self.covariances[mask])
+
 
 class TagFinder:
     """Finds the tags of one family.

@@ -47,10 +47,6 @@ class TagTargetConfig:
 
     board: TagBoardConfig = field(default_factory=TagBoardConfig)
     detection: TagDetectionConfig = field(default_factory=TagDetectionConfig)
-    min_tags: ClassVar[int] = 1
-    """Fewer tags of the board are not believed."""
-    use_range: ClassVar[bool] = True
-    """Whether the measured range takes part: it tells the two poses of a plane apart."""
     range_scale_sigma: ClassVar[float] = 0.02
     """Standard deviation of the ratio between measured range and the range that the tags' size
     tells: errors of baseline and print.
@@ -98,13 +94,13 @@ class TagTargetDetector:
             tags: those of this board only.
             view: the view in which they were found.
         """
-        config, camera = self.config, view.camera
-        if len(tags.ids) < config.min_tags:
-            return _refuse("not in view", f"{len(tags.ids)} of {len(self.board.ids)} tags found")
+        camera = view.camera
+        if not len(tags.ids):
+            return _refuse("not in view", f"0 of {len(self.board.ids)} tags found")
         known = self._known(tags)
         starts = self._consensus(known, camera)
         agreeing = max((mask for _, mask in starts), key=np.sum, default=np.zeros(0, bool))
-        if 2 * agreeing.sum() < len(tags.ids) or agreeing.sum() < config.min_tags:
+        if 2 * agreeing.sum() < len(tags.ids):
             return _refuse("inconsistent", f"{agreeing.sum()} of {len(tags.ids)} tags agree")
         known = _select(known, agreeing)
         ranges = self._ranges(tags.ids[agreeing], tags.corners[agreeing], view)
@@ -161,8 +157,6 @@ class TagTargetDetector:
 
     def _ranges(self, ids: NDArray[np.int64], corners: FloatArray, view: RangeView) -> KnownRanges:
         """Inverse depths measured on the agreeing tags, between their corners."""
-        if not self.config.use_range:
-            return no_ranges()
         side = self.config.board.side
         x, y = (axis.ravel() * side for axis in np.meshgrid(_SAMPLES, -_SAMPLES))
         on_tag = np.column_stack([x, y, np.zeros(len(x))])
@@ -207,8 +201,7 @@ class TagTargetDetector:
 
 def own_tags(tags: Tags, board: TagBoard) -> Tags:
     """Those of the tags that are on a board."""
-    mask = np.isin(tags.ids, board.ids)
-    return Tags(tags.ids[mask], tags.corners[mask], tags.covariances[mask])
+    return tags.select(np.isin(tags.ids, board.ids))
 
 
 def _select(known: KnownPoints, tags: NDArray[np.bool_]) -> KnownPoints:

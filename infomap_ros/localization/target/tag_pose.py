@@ -213,10 +213,10 @@ def pixel_jacobian(camera: PinholeCamera, points: FloatArray, pose: FloatArray) 
     by_point = np.zeros((len(points), 2, 3))
     by_point[:, 0, 0], by_point[:, 0, 2] = camera.fx / z, -camera.fx * x / z**2
     by_point[:, 1, 1], by_point[:, 1, 2] = camera.fy / z, -camera.fy * y / z**2
-    return by_point @ _point_jacobian(points, pose)
+    return by_point @ point_jacobian(points, pose)
 
 
-def _point_jacobian(points: FloatArray, pose: FloatArray) -> FloatArray:
+def point_jacobian(points: FloatArray, pose: FloatArray) -> FloatArray:
     """Derivative of points in the camera frame by the pose error, shape (N, 3, 6)."""
     turned = points @ pose[:3, :3].T
     jacobian = np.zeros((len(points), 3, 6))
@@ -231,7 +231,7 @@ def _point_jacobian(points: FloatArray, pose: FloatArray) -> FloatArray:
 def _range_jacobian(ranges: KnownRanges, pose: FloatArray, scale: float) -> FloatArray:
     z = transform_points(pose, ranges.points)[:, 2]
     jacobian = np.zeros((len(z), 7))
-    by_depth = _point_jacobian(ranges.points, pose)[:, 2]
+    by_depth = point_jacobian(ranges.points, pose)[:, 2]
     jacobian[:, :6] = (-(1.0 + scale) / z**2)[:, None] * by_depth
     jacobian[:, 6] = 1.0 / z
     return jacobian / ranges.sigmas[:, None]

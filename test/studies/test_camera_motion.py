@@ -10,12 +10,12 @@ from scipy.stats import chi2
 
 from infomap_ros.errors import ConfigError, InvalidInputError
 from infomap_ros.geometry import make_transform, transform_points
-from infomap_ros.localization.filter.camera_motion import (
+from infomap_ros.studies.camera_motion import (
     MotionConfig,
     estimate_motion,
     printed_motion,
 )
-from infomap_ros.localization.filter.recursive_pose import RecursivePose
+from infomap_ros.studies.recursive_pose import RecursivePose
 
 
 def some_motion(rng: np.random.Generator) -> np.ndarray:

@@ -170,14 +170,6 @@ class StereoRig:
         return self.left.fx * self.baseline / np.where(z > 0.0, z, np.nan) - self.principal_offset
 
 
-def _identity() -> FloatArray:
-    return np.eye(3)
-
-
-def _no_projection() -> FloatArray:
-    return np.zeros((3, 4))
-
-
 @dataclass(frozen=True, eq=False)
 class CameraCalibration:
     """What ``sensor_msgs/CameraInfo`` says of a camera, raw and rectified.
@@ -200,9 +192,9 @@ class CameraCalibration:
     height: int
     distortion_model: str = ""
     distortion: FloatArray = field(default_factory=lambda: np.zeros(0))
-    intrinsics: FloatArray = field(default_factory=_identity)
-    rectification: FloatArray = field(default_factory=_identity)
-    projection: FloatArray = field(default_factory=_no_projection)
+    intrinsics: FloatArray = field(default_factory=lambda: np.eye(3))
+    rectification: FloatArray = field(default_factory=lambda: np.eye(3))
+    projection: FloatArray = field(default_factory=lambda: np.zeros((3, 4)))
 
     def __post_init__(self) -> None:
         shapes = {"intrinsics": (3, 3), "rectification": (3, 3), "projection": (3, 4)}
@@ -230,17 +222,12 @@ class CameraCalibration:
         if p[0, 0] == 0.0:
             raise CalibrationError("camera is not calibrated: the projection matrix P is zero")
         camera = PinholeCamera(self.width, self.height, p[0, 0], p[1, 1], p[0, 2], p[1, 2])
-        for name, focal, size in (("fx", camera.fx, self.width), ("fy", camera.fy, self.height)):
-            angle = np.degrees(2.0 * np.arctan2(0.5 * size, focal))
-            if angle > _WIDEST:
-                raise CalibrationError(
-                    f"{name} = {focal:.6g} px is a field of view of {angle:.1f} deg over {size} px:"
-                    " is it in pixels, and for images of this size?"
-                )
+        widest = 0.5 * max(self.width / camera.fx, self.height / camera.fy)
+        if (angle := np.degrees(2.0 * np.arctan(widest))) > _WIDEST:
+            focal = f"fx = {camera.fx:.6g}, fy = {camera.fy:.6g} px"
+            raise CalibrationError(f"{focal}: {angle:.1f} deg of view; are they in px?")
         if abs(p[0, 1]) > _MOST_SKEW * camera.fx:
-            raise CalibrationError(
-                f"the skew P[0, 1] is {p[0, 1]:.6g} px; a rectified image has none"
-            )
+            raise CalibrationError(f"skew P[0, 1] is {p[0, 1]:.6g} px; rectified images have none")
         return camera
 
     def __eq__(self, other: object) -> bool:

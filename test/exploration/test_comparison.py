@@ -52,7 +52,7 @@ def test_the_page_sets_runs_side_by_side(tmp_path: Path) -> None:
     assert "robot" not in asked  # the same in both
     assert rows_of(page, "results")["views"] == ["6", "12"]
     figures = rows_of(page, "figures")
-    assert figures["true coverage"] == ["71.0\u2009%", "93.0\u2009%"]
+    assert figures["true coverage"] == ["71\u2009%", "93\u2009%"]
     assert figures["pose turn rms"] == [DASH, "3.7\u2009mrad"]
     assert figures["within 1 sigma"] == [DASH, "68.3\u2009%"]
     assert figures["contacts"] == [DASH, "0"]

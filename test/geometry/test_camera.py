@@ -29,8 +29,8 @@ def calibration(camera: PinholeCamera, baseline: float = 0.0) -> CameraCalibrati
 @pytest.mark.parametrize(
     ("row", "column", "value", "told"),
     [
-        (0, 0, 4.2, r"fx = 4\.2 px is a field of view of 178\.5 deg"),  # in mm
-        (1, 1, 0.82, r"fy = 0\.82 px is a field of view"),  # as a share of the height
+        (0, 0, 4.2, r"fx = 4\.2, fy = 520 px: 178\.5 deg of view"),  # in mm
+        (1, 1, 0.82, r"fy = 0\.82 px: 179\.6 deg of view"),  # as a share of the height
         (0, 1, 52.4, r"skew P\[0, 1\] is 52\.4 px"),
     ],
 )

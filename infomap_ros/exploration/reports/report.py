@@ -278,13 +278,9 @@ def _plan(
     note += f"; what lies above {above.cut:.2f} m is left out" if above.cut is not None else ""
     keys = _KEYS if run is not None else ""
     keys += f'<li><i class="key ramp"></i>{note.replace("-", MINUS)}</li>'
-    if run is not None:
-        drawn = plan(above, run)
-    elif camera_path is None:
-        drawn = plan(above)
-    else:
+    if camera_path is not None:
         keys += '<li><i class="key camera"></i>path of the camera</li>'
-        drawn = plan(above, camera_path=camera_path)
+    drawn = plan(above, *(() if run is None else (run,)), camera_path=camera_path)
     return f'<div class="above">{drawn}<ul class="keys">{keys}</ul></div>'
 
 

@@ -8,7 +8,6 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from types import TracebackType
 
 from diagnostic_msgs.msg import DiagnosticStatus
 
@@ -178,15 +177,10 @@ class LiveTeam(LiveGraph):
                 raise ProcessError(f"the maps are not the same after {timeout:.0f} s: {told}")
             self.spin_for(_AGREEING, tick)
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *how: object) -> None:
         for processes in self._team.values():
             processes.stop()
-        super().__exit__(kind, error, trace)
+        super().__exit__(*how)
 
     def check(self) -> None:
         """Make sure that all processes live, but for those that were killed on purpose.

@@ -135,9 +135,7 @@ def _why_no_pair(bag: Recording, pair: StereoTopics) -> str:
 _ASIDE = 0.05  # of the baseline of a rectified pair, that is not along its rows
 
 
-def _baseline_by_tf(
-    bag: Recording, left: CameraInfoRecord, right: CameraInfoRecord
-) -> float | None:
+def _baseline_by_tf(bag: Recording, left: Record, right: Record) -> float | None:
     """How far the right camera is to the right of the left one by fixed transforms [m].
 
     None where they do not tell, or not of two optical frames side by side.
@@ -147,12 +145,10 @@ def _baseline_by_tf(
         for edge in static_transforms(bag, tf_topics_of(types_of(bag))):
             tree.add_transform(edge)
         root = tree.root_of(left.frame_id)
-        T_root_left, T_root_right = (
-            tree.at(root, info.frame_id, info.stamp).transform for info in (left, right)
-        )
+        places = [tree.at(root, info.frame_id, info.stamp).transform for info in (left, right)]
     except InfomapError:
         return None
-    across, *aside = (np.linalg.inv(T_root_left) @ T_root_right)[:3, 3]
+    across, *aside = (np.linalg.inv(places[0]) @ places[1])[:3, 3]
     return float(across) if np.linalg.norm(aside) < _ASIDE * across else None
 
 

@@ -6,9 +6,9 @@ import shutil
 import tempfile
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from types import TracebackType
 from typing import Protocol
 
 from backports import zstd
@@ -62,7 +62,7 @@ class BagRecord:
     record: Record
 
 
-class Recording(Protocol):
+class Recording(AbstractContextManager["Recording"], Protocol):
     """What maps and trajectories are made from: a `BagReader`, or what can be read as one.
 
     Attributes:
@@ -79,17 +79,6 @@ class Recording(Protocol):
 
     def records(self, topics: Collection[str] | None = None) -> Iterator[BagRecord]:
         """Records in order of time; see `BagReader.records`."""
-
-    def __enter__(self) -> Recording:
-        """For ``with``."""
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        """Release the files."""
 
 
 class BagReader:
@@ -271,12 +260,7 @@ class BagReader:
     def __enter__(self) -> BagReader:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
 

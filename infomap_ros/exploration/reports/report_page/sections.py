@@ -219,7 +219,7 @@ def charts(
     for label, x_of in axes.items():
         # Of what is told at one place, as of several lines of the log at one view, the last holds.
         rows = {name: list({x_of(r): r for r in told}.values()) for name, told in runs.items()}
-        if axes is AXES and not any(x_of(r) > 0.0 for row in rows.values() for r in row):
+        if not any(x_of(r) > 0.0 for row in rows.values() for r in row):
             drawn.append(f'<p class="wide">All stay at 0: no curves over {label}.</p>')
             continue
         for title, unit, scaled, y_of in values:

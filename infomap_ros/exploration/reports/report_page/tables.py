@@ -12,14 +12,7 @@ import numpy as np
 
 from infomap_ros.exploration.records.log_records import Decision, Message
 from infomap_ros.exploration.records.recorded_run import RUN_ENDED, RecordedRun, Step
-from infomap_ros.exploration.reports.report_page.axes import (
-    DASH,
-    MINUS,
-    duration,
-    number,
-    percent,
-    quantity,
-)
+from infomap_ros.exploration.reports.report_page.axes import DASH, MINUS, duration, number, quantity
 from infomap_ros.exploration.reports.report_page.scene import term_names, unit_of
 from infomap_ros.geometry.config import parameters_of
 
@@ -182,41 +175,34 @@ def parameters_table(parameters: Mapping[str, object], config: type | None = Non
     told = {} if config is None else parameters_of(config)
     if not parameters:
         return ""
-    rows, marks = [], []
-    for name, value in parameters.items():
-        info = told[name][1] if name in told else None
-        rows.append([html.escape(words(name)), html.escape(with_unit(name, value, config))])
-        marks.append(f' title="{html.escape(info.description)}"' if info else "")
+    items = parameters.items()
+    rows = [[html.escape(words(n)), html.escape(with_unit(n, v, config))] for n, v in items]
+    abouts = (told[name][1].description if name in told else "" for name in parameters)
+    marks = [f' title="{html.escape(about)}"' if about else "" for about in abouts]
     return table(["name", "#value"], rows, "parameters", marks)
 
 
-_UNITS = {
+_UNITS = {  # of figures whose name is so; the first that fits holds
     r"\w*(_coverage|_fraction)|within_\d_sigma": "%",
     r"(\w+_)?seconds(_\w+)?": "s",
     r"\w+_turn_\w+": "rad",
     r"(\w+_)?(distance|length|range|size|sigma|error)(_\w+)?": "m",
     r"\w+_bytes": "B",
 }
-"""Of figures whose name begins or ends so; the first that fits holds."""
 
 
 def with_unit(name: str, value: object, config: type | None = None) -> str:
     """A value as text: of a field of a configuration with its unit, else of a figure of a run."""
+    if isinstance(value, list) and config is None:
+        return ", ".join(with_unit(name, each) for each in value) or DASH
     told = {} if config is None else parameters_of(config)
     text = as_text(value)
     if name in told:
         return f"{text}\u2009{told[name][1].unit}".rstrip() if text else DASH
     unit = next((unit for names, unit in _UNITS.items() if re.fullmatch(names, name)), "")
-    values = [each for each in _several(value) if isinstance(each, int | float)]
-    if not unit or len(values) < len(_several(value)):
+    if not unit or not isinstance(value, int | float):
         return text or DASH
-    if unit == "%":
-        return ", ".join(percent(float(each)) for each in values)
-    return ", ".join(quantity(float(each), unit, 4) for each in values)
-
-
-def _several(value: object) -> list[object]:
-    return value if isinstance(value, list) else [value]
+    return f"{number(100.0 * value)}\u2009%" if unit == "%" else quantity(float(value), unit, 4)
 
 
 def words(name: str) -> str:

@@ -36,7 +36,7 @@ from infomap_ros.localization.fiducials.appearance import (
 from infomap_ros.localization.fiducials.range_view import RangeView
 from infomap_ros.localization.fiducials.selection import select_fiducials
 from infomap_ros.replay.bags.reader import BagReader
-from infomap_ros.replay.localizing.localize_inputs import LocalizeOptions
+from infomap_ros.replay.localizing.localize_run import LocalizeOptions
 
 Matcher = Callable[[RangeView, np.ndarray, RangeView], tuple[np.ndarray, np.ndarray]]
 """First view, fiducials in it, second view -> rows of the fiducials, pixels in the second."""

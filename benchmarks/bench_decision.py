@@ -26,10 +26,10 @@ from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.motion.reaching import WholeBodyReach
 from infomap_ros.motion.robot.robot_model import RobotModel
 from infomap_ros.motion.robot.solid_extent import camera_heights, solid_extent
-from infomap_ros.studies.analytic_scene import AnalyticScene
+from infomap_ros.studies.noisy_scans import AnalyticScene
 from infomap_ros.views.decision import ViewDecision
-from infomap_ros.views.information.information_config import InformationConfig
 from infomap_ros.views.information.view_information import ExpectedInformation
+from infomap_ros.views.information.view_query import InformationConfig
 from infomap_ros.views.next_best_view import NextBestView, NextBestViewConfig
 from infomap_ros.views.sampling.candidates import CandidateConfig
 from infomap_ros.views.sampling.orientations import look_rotations

@@ -39,8 +39,8 @@ from infomap_ros.localization.fiducials.selection import (
 from infomap_ros.localization.fiducials.sparse_stereo import SparseStereoConfig, match_pixels
 from infomap_ros.localization.fiducials.tracker import FiducialTracker
 from infomap_ros.replay.bags.reader import BagReader
-from infomap_ros.replay.localizing.localize_inputs import LocalizeOptions
-from infomap_ros.stereo.ground_truth import load_pairs
+from infomap_ros.replay.localizing.localize_run import LocalizeOptions
+from infomap_ros.stereo.evaluation import load_pairs
 from infomap_ros.stereo.images import gray
 
 COUNT = 100

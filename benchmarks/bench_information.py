@@ -32,10 +32,9 @@ import room
 from infomap_ros.geometry import PinholeCamera
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.mapping.files.octomap_file import write_ot
-from infomap_ros.views.information.expected_information import expected_information
 from infomap_ros.views.information.gains import field_around
-from infomap_ros.views.information.information_config import InformationConfig
-from infomap_ros.views.information.view_query import camera_rays
+from infomap_ros.views.information.view_information import expected_information
+from infomap_ros.views.information.view_query import InformationConfig, camera_rays
 
 HERE = Path(__file__).resolve().parent
 RANGE = 5.0

@@ -34,7 +34,7 @@ from numba import njit
 from infomap_ros.geometry import transform_points
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.mapping.scans.workers import Workers
-from infomap_ros.mapping.voxels.blocks import BLOCK_COUNT, block_bytes
+from infomap_ros.mapping.voxels.keys import BLOCK_COUNT, block_bytes
 from infomap_ros.mapping.voxels.surface import surface_bytes
 
 os.environ["OMP_NUM_THREADS"] = "1"  # OctoMap traces rays on all cores otherwise

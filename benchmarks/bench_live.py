@@ -23,7 +23,7 @@ from nav_msgs.msg import Path as PoseList
 from stereo_bag import write_stereo_bag
 
 from infomap_ros.nodes.live.bag_demo import LiveRun
-from infomap_ros.nodes.live.run_state import RunState
+from infomap_ros.nodes.live.live_graph import RunState
 
 WARM_UP = 5  # pairs that are not counted: discovery and first use of memory
 

@@ -16,7 +16,7 @@ import numpy as np
 from bench_decision import RIG, decide, hall, rover, seen
 
 from infomap_ros.exploration.fiducial_error import FiducialLocalizationError
-from infomap_ros.localization.filter.records import Fiducials
+from infomap_ros.localization.filter.config import Fiducials
 from infomap_ros.views.next_best_view import NextBestView
 from infomap_ros.views.situation import Situation
 

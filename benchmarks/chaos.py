@@ -33,7 +33,7 @@ from sensor_msgs.msg import Image, JointState
 from infomap_ros.errors import ProcessError
 from infomap_ros.geometry.atomic_file import write_json
 from infomap_ros.nodes.common import qos
-from infomap_ros.nodes.live.demo_exploration import demo_world, empty_folder, task_parameters
+from infomap_ros.nodes.live.demo_command import demo_world, empty_folder, task_parameters
 from infomap_ros.nodes.live.live_exploration import LiveExploration
 from infomap_ros.nodes.live.live_truth import LiveTruth, live_map_frame
 from infomap_ros.nodes.simulated.simulated_driver import has_actions

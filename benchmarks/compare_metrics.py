@@ -22,8 +22,8 @@ import room
 from infomap_ros.geometry import PinholeCamera, make_transform
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.studies.metrics.published_metrics import EVERY_METRIC
-from infomap_ros.views.information.expected_information import expected_information
-from infomap_ros.views.information.information_config import InformationConfig
+from infomap_ros.views.information.view_information import expected_information
+from infomap_ros.views.information.view_query import InformationConfig
 
 CAMERA = PinholeCamera(128, 96, 105.0, 105.0, 63.5, 47.5)
 GRID = VoxelMapConfig(voxel_size=0.1, max_range=4.0)

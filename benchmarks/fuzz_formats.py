@@ -41,10 +41,10 @@ from infomap_ros.messages import (
 )
 from infomap_ros.messages.clouds import POINT_FIELD
 from infomap_ros.messages.fiducials import decode_fiducials
-from infomap_ros.messages.keyframes import KEYFRAME_ROW, decode_keyframe_covariances
+from infomap_ros.messages.fields import make_header
+from infomap_ros.messages.motions import KEYFRAME_ROW, decode_keyframe_covariances
 from infomap_ros.messages.pose_uncertainty import POSE_UNCERTAINTY_ROW, decode_pose_uncertainty
 from infomap_ros.messages.rows import decode_rows, encode_rows
-from infomap_ros.messages.types import make_header
 from infomap_ros.motion.robot.robot_model import RobotModel
 from infomap_ros.replay.bags.reader import BagReader
 from infomap_ros.simulation.body.saved_robot import SavedRobot

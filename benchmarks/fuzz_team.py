@@ -22,11 +22,10 @@ from infomap_ros.errors import InfomapError, UpdateRefusedError
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.messages import RosbagsMessageTypes
 from infomap_ros.messages.rows import decode_rows, encode_rows
-from infomap_ros.team.authentication import TeamKey
 from infomap_ros.team.config import TeamConfig
-from infomap_ros.team.digest import CellDigest, Request
-from infomap_ros.team.freshness import Freshness
+from infomap_ros.team.digest import CellDigest, Freshness, Request
 from infomap_ros.team.member import TeamMember
+from infomap_ros.team.membership import TeamKey
 
 TYPES = RosbagsMessageTypes()
 CONFIG = VoxelMapConfig(voxel_size=0.1)

@@ -30,14 +30,12 @@ from hypothesis import strategies as st
 from infomap_ros.errors import InfomapError, UpdateRefusedError
 from infomap_ros.geometry import PinholeCamera
 from infomap_ros.mapping import NOT_OBSERVED, SHARED_LOG_ODDS_LIMIT, VoxelMap, VoxelMapConfig
-from infomap_ros.team.agent_board import AgentBoard
-from infomap_ros.team.agent_text import agent_to_text
+from infomap_ros.team.agent_board import AgentBoard, agent_to_text
 from infomap_ros.team.agents import Agent
 from infomap_ros.team.config import TeamConfig
 from infomap_ros.team.digest import SUMMARY_ROW, CellDigest, Request, Summary
 from infomap_ros.team.member import TeamMember
-from infomap_ros.team.sent import message_bytes
-from infomap_ros.team.update import MapUpdate
+from infomap_ros.team.update import MapUpdate, message_bytes
 from infomap_ros.team.wire import decode_update, encode_update
 
 CONFIG = VoxelMapConfig(voxel_size=0.1, memory_limit=0.2)

@@ -31,10 +31,9 @@ from infomap_ros.errors import InfomapError
 from infomap_ros.geometry import PoseRecord, transform_points
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.replay.bags.reader import BagReader
-from infomap_ros.replay.localizing.localize_inputs import LocalizeOptions
+from infomap_ros.replay.localizing.localize_run import LocalizeOptions
 from infomap_ros.stereo import StereoConfig
-from infomap_ros.stereo.evaluation import measure_errors
-from infomap_ros.stereo.ground_truth import load_pairs
+from infomap_ros.stereo.evaluation import load_pairs, measure_errors
 
 PAGE = ROOT / "docs" / "results" / "kpi.md"
 PAIRS = ("stereo_motorcycle", "stereo_opencv_samples")

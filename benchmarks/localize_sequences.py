@@ -28,13 +28,17 @@ from odometry_baselines import BASELINES, follow
 from stereo_bag import write_stereo_bag
 from trajectory_errors import TrajectoryErrors, pose_nees, trajectory_errors, truth_at
 
-from infomap_ros.cli.settings import with_settings
+from infomap_ros.cli.command_options import with_settings
 from infomap_ros.geometry import PoseRecord
 from infomap_ros.localization.fiducials.range_view import RangeView
 from infomap_ros.pipeline.view_estimator import FramedView
 from infomap_ros.replay.bags.reader import BagReader
-from infomap_ros.replay.localizing.localize_inputs import LocalizeOptions, find_localize_inputs
-from infomap_ros.replay.localizing.localize_run import LocalizeRun, records_of
+from infomap_ros.replay.localizing.localize_run import (
+    LocalizeOptions,
+    LocalizeRun,
+    find_localize_inputs,
+    records_of,
+)
 from infomap_ros.replay.sequences import SequenceOptions, convert
 
 ROOT = Path(__file__).resolve().parent.parent

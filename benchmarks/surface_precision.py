@@ -22,9 +22,9 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 
-from infomap_ros.cli.settings import with_settings
-from infomap_ros.exploration.records.log_records import Decision
+from infomap_ros.cli.command_options import with_settings
 from infomap_ros.exploration.records.recorded_run import read_run
+from infomap_ros.exploration.records.run_log import Decision
 from infomap_ros.geometry.atomic_file import write_json
 from infomap_ros.mapping.files.export import surface_sigmas
 from infomap_ros.simulation.exploring.exploration_run import (

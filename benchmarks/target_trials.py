@@ -25,7 +25,7 @@ from localization.model_scenes import CloudView, box, bracket, knobbed_box, rang
 from localization.tag_scenes import BoardView, pose_error, seen_from, single_tag
 
 from infomap_ros.localization.target.config import ModelTargetConfig
-from infomap_ros.localization.target.model_shape import shape_from_triangles
+from infomap_ros.localization.target.model_scene import shape_from_triangles
 from infomap_ros.localization.target.model_target import ModelTargetDetector
 from infomap_ros.localization.target.tag_board import TagBoard
 from infomap_ros.localization.target.tag_detector import TagTargetConfig, TagTargetDetector

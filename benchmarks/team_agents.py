@@ -21,14 +21,14 @@ import numpy as np
 
 from infomap_ros.errors import InfomapError, UpdateRefusedError
 from infomap_ros.exploration.robot import RobotState
-from infomap_ros.exploration.team.team_bodies import TeamBodies
+from infomap_ros.exploration.team.teammate_places import TeamBodies
 from infomap_ros.exploration.team.teamwork import Presence, Teamwork
 from infomap_ros.geometry import PinholeCamera, PoseRecord, make_transform
 from infomap_ros.geometry.resources import find_share
 from infomap_ros.messages.agents import decode_agent_texts, encode_agent
 from infomap_ros.motion.robot.robot_model import RobotModel
 from infomap_ros.nodes.common.message_types import RclpyMessageTypes
-from infomap_ros.team.authentication import TeamKey
+from infomap_ros.team.membership import TeamKey
 
 CAMERA = PinholeCamera(640, 480, 500.0, 500.0, 319.5, 239.5)
 KEY = TeamKey(b"a key for the fuzzing of teams")

@@ -24,8 +24,7 @@ from rosbags.typesys import Stores, get_typestore
 from infomap_ros.mapping.files.octomap_file import write_bt, write_ot
 from infomap_ros.messages import RosbagsMessageTypes
 from infomap_ros.messages.rows import encode_rows
-from infomap_ros.studies.team.team_lag import LagMeter
-from infomap_ros.studies.team.team_network import Radio, TeamNetwork
+from infomap_ros.studies.team.team_network import LagMeter, Radio, TeamNetwork
 from infomap_ros.team.config import TeamConfig
 from infomap_ros.team.update import MapUpdate
 from infomap_ros.team.wire import decode_update, encode_update

@@ -22,9 +22,9 @@ from typing import Any
 
 import numpy as np
 
-from infomap_ros.cli.settings import with_settings
+from infomap_ros.cli.command_options import with_settings
 from infomap_ros.studies.team.team_exploration import TeamExploration
-from infomap_ros.studies.team.team_options import TeamExplorationOptions
+from infomap_ros.studies.team.team_robot import TeamExplorationOptions
 
 _ALWAYS = ("planner.threads=1",)
 

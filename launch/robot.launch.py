@@ -14,8 +14,9 @@ from infomap_ros.nodes.live.launching import (
     launch_description,
     numbers,
 )
-from infomap_ros.nodes.simulated.simulated_driver import driven_simulator, simulated_driver
-from infomap_ros.nodes.simulated.simulated_localization import (
+from infomap_ros.nodes.simulated.simulated_driver import (
+    driven_simulator,
+    simulated_driver,
     simulated_localization,
     simulated_motion_noise,
 )

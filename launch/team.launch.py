@@ -9,10 +9,10 @@ A team of real robots: robot.launch.py on each, with namespace, robot_id and tea
 from pathlib import Path
 
 from infomap_ros.exploration.task import TaskConfig
-from infomap_ros.nodes.live.demo_exploration import demo_world, task_parameters
+from infomap_ros.nodes.live.demo_command import demo_world, task_parameters
 from infomap_ros.nodes.live.launching import ROBOT_ARGUMENTS, RobotLaunch, launch_description
-from infomap_ros.nodes.live.live_team import member_parameters, robot_names
-from infomap_ros.simulation.multi_robot.team_starts import team_starts
+from infomap_ros.nodes.live.live_exploration import member_parameters, robot_names
+from infomap_ros.simulation.multi_robot.team_world import team_starts
 from launch import LaunchDescription
 
 TASK = TaskConfig()

@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
-from infomap_ros.cli.settings import all_settings
+from infomap_ros.cli.command_options import all_settings
 from infomap_ros.nodes.parameter_docs import NODES, node_parameters
 from infomap_ros.replay.mapping.map_inputs import MapOptions
 from infomap_ros.simulation.exploring.exploration_run import ExplorationOptions

@@ -14,8 +14,7 @@ from infomap_ros.cli.results import results_in
 from infomap_ros.geometry.atomic_file import write_text
 from infomap_ros.stereo import StereoConfig, calibration
 from infomap_ros.stereo.calibration import NoiseFit
-from infomap_ros.stereo.evaluation import GAUSSIAN_SHARES, PairErrors
-from infomap_ros.stereo.ground_truth import load_pairs
+from infomap_ros.stereo.evaluation import GAUSSIAN_SHARES, PairErrors, load_pairs
 
 _BINS = 12
 

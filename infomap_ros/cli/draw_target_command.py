@@ -6,8 +6,7 @@ from typing import Annotated
 
 import typer
 
-from infomap_ros.localization.target.tag_board import FAMILIES, TagBoard, TagBoardConfig
-from infomap_ros.localization.target.tag_drawing import save_board
+from infomap_ros.localization.target.tag_board import FAMILIES, TagBoard, TagBoardConfig, save_board
 
 _DEFAULTS = TagBoardConfig()
 

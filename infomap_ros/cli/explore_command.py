@@ -10,14 +10,20 @@ from rich.console import Console
 from rich.status import Status
 
 from infomap_ros.cli.command_options import Out, Overwrite, Setting, chosen, lists_settings
-from infomap_ros.cli.interrupts import INTERRUPTED, stops_when_interrupted
-from infomap_ros.cli.live_display import Live, live_page
-from infomap_ros.cli.progress_bar import says_when_it_compiles
-from infomap_ros.cli.results import length, results_in, say_results
+from infomap_ros.cli.results import (
+    INTERRUPTED,
+    Live,
+    length,
+    live_page,
+    results_in,
+    say_results,
+    says_when_it_compiles,
+    stops_when_interrupted,
+)
 from infomap_ros.cli.study_options import check_strategy
 from infomap_ros.errors import ConfigError, ExplorationError, InvalidInputError
-from infomap_ros.exploration.control import Request
 from infomap_ros.exploration.loop import EndReason
+from infomap_ros.exploration.rules import Request
 from infomap_ros.mapping.files.pictures import draw_map_views
 from infomap_ros.simulation.exploring.exploration_run import ExplorationOptions, ExplorationRun
 from infomap_ros.simulation.robots.robot_file import RobotFile

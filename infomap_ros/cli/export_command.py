@@ -11,9 +11,14 @@ from infomap_ros.cli.command_options import Overwrite
 from infomap_ros.cli.results import check_free
 from infomap_ros.errors import ConfigError
 from infomap_ros.mapping import VoxelMap
-from infomap_ros.mapping.files.export import write_distances, write_grid, write_ply, write_stl
+from infomap_ros.mapping.files.export import (
+    ProjectionConfig,
+    write_distances,
+    write_grid,
+    write_ply,
+    write_stl,
+)
 from infomap_ros.mapping.files.octomap_file import write_bt, write_ot
-from infomap_ros.mapping.files.projection import ProjectionConfig
 
 _BAND = ProjectionConfig()
 

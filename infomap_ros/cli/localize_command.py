@@ -21,15 +21,19 @@ from infomap_ros.cli.command_options import (
     lists_settings,
     takes_topics,
 )
-from infomap_ros.cli.interrupts import INTERRUPTED
-from infomap_ros.cli.live_display import Live, live_page
-from infomap_ros.cli.progress_bar import run_with_bar
-from infomap_ros.cli.results import length, results_in, say_results
+from infomap_ros.cli.results import (
+    INTERRUPTED,
+    Live,
+    length,
+    live_page,
+    results_in,
+    run_with_bar,
+    say_results,
+)
 from infomap_ros.errors import BagError
 from infomap_ros.replay.localizing.localize_files import FILES, write_localize_files
-from infomap_ros.replay.localizing.localize_inputs import LocalizeOptions
-from infomap_ros.replay.localizing.localize_run import LocalizeRun, Progress
-from infomap_ros.replay.recording import Recording, open_recording
+from infomap_ros.replay.localizing.localize_run import LocalizeOptions, LocalizeRun, Progress
+from infomap_ros.replay.mapped_bag import Recording, open_recording
 from infomap_ros.viewer import LivePage
 from infomap_ros.viewer.scan_display import ScanDisplay
 

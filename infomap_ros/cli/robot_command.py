@@ -6,8 +6,7 @@ from typing import Annotated
 import typer
 
 from infomap_ros import __version__
-from infomap_ros.cli.progress_bar import says_when_it_compiles
-from infomap_ros.cli.results import check_free, results_in
+from infomap_ros.cli.results import check_free, results_in, says_when_it_compiles
 from infomap_ros.errors import InvalidInputError, RobotModelError
 from infomap_ros.geometry.atomic_file import write_text
 from infomap_ros.simulation.robots.drawing import draw_robot

@@ -18,13 +18,13 @@ from infomap_ros.geometry.atomic_file import write_text
 from infomap_ros.studies.common.runs import Kept, run_all
 from infomap_ros.studies.drift import (
     DriftConfig,
+    WalkErrors,
     drift_rows,
     drift_summary,
     drift_table,
     panels_of,
     tasks_of,
 )
-from infomap_ros.studies.drift_walk import WalkErrors
 from infomap_ros.studies.pose_consistency import (
     SCENARIOS,
     PoseConsistencyConfig,
@@ -51,7 +51,7 @@ def drift(
     What is done is kept in OUT/runs, and not done again when the command is repeated. Exits with 1
     if the default's error at the last step is more than half of the printed method's in a panel.
     """
-    from infomap_ros.studies.drift_figure import draw_drift
+    from infomap_ros.studies.drift import draw_drift
 
     with refusals():
         config = DriftConfig(runs=_QUICK_RUNS if is_quick else runs, seed=seed)
@@ -78,7 +78,7 @@ def pose_consistency(
 
     Exits with 1 if a mean is outside its band, or a pose is wrong where half of all moves.
     """
-    from infomap_ros.studies.pose_figure import draw_nees
+    from infomap_ros.studies.pose_consistency import draw_nees
 
     start = time.monotonic()
     with refusals(), progress_bar("runs", runs * len(SCENARIOS)) as advance:

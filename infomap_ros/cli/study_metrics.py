@@ -20,10 +20,9 @@ from infomap_ros.cli.study_options import (
 )
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap
-from infomap_ros.studies.common.runs import Kept, run_all
-from infomap_ros.studies.common.tables import write_lines, write_rows
-from infomap_ros.studies.metrics.metric_run import MetricRun
+from infomap_ros.studies.common.runs import Kept, run_all, write_lines, write_rows
 from infomap_ros.studies.metrics.metrics_study import (
+    MetricRun,
     MetricsStudyConfig,
     Results,
     comparisons,
@@ -34,10 +33,9 @@ from infomap_ros.studies.metrics.metrics_study import (
     tasks_of,
 )
 from infomap_ros.studies.metrics.published_metrics import EVERY_METRIC
-from infomap_ros.studies.planar.sensor import SensorConfig, level_pose, take_scan
-from infomap_ros.studies.planar.world import PlanarWorld
-from infomap_ros.views.information.expected_information import Metric, expected_information
-from infomap_ros.views.information.information_config import InformationConfig
+from infomap_ros.studies.planar.world import PlanarWorld, SensorConfig, level_pose, take_scan
+from infomap_ros.views.information.view_information import Metric, expected_information
+from infomap_ros.views.information.view_query import InformationConfig
 
 # What the metrics say of a view that is wholly unknown, partly known, or wholly known.
 #
@@ -111,7 +109,7 @@ def metrics(
 
     What is done is kept in OUT/runs, and not done again when the command is repeated.
     """
-    from infomap_ros.studies.metrics.figures import draw_curves, draw_unknown
+    from infomap_ros.studies.metrics.metrics_study import draw_curves, draw_unknown
 
     with refusals():
         config = MetricsStudyConfig(worlds=worlds, seed=seed)

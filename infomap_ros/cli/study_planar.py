@@ -24,10 +24,9 @@ from infomap_ros.cli.study_options import (
 )
 from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.studies.common.bands import Band, band, ratio_band
-from infomap_ros.studies.common.tables import markdown, write_rows
+from infomap_ros.studies.common.figure_style import Band, band, ratio_band
+from infomap_ros.studies.common.runs import markdown, write_rows
 from infomap_ros.studies.planar import report
-from infomap_ros.studies.planar.measures import distance_to
 from infomap_ros.studies.planar.planar_study import (
     BASELINES,
     PlanarStudyConfig,
@@ -37,6 +36,7 @@ from infomap_ros.studies.planar.planar_study import (
     tasks_of,
     team_tasks,
 )
+from infomap_ros.studies.planar.study_config import distance_to
 from infomap_ros.studies.planar.tasks import Record, label_of, run_tasks
 
 # How the baselines stand to each other: ways to growing shares of a world, paired by world.

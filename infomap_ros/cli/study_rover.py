@@ -19,8 +19,7 @@ from infomap_ros.cli.study_options import (
     refusals,
     workers,
 )
-from infomap_ros.studies.common.runs import Kept, run_all
-from infomap_ros.studies.common.tables import write_lines, write_rows
+from infomap_ros.studies.common.runs import Kept, run_all, write_lines, write_rows
 from infomap_ros.studies.rover.explore import RoverExploration
 from infomap_ros.studies.rover.rover_study import (
     Results,
@@ -53,7 +52,7 @@ def rover(
 
     What is done is kept in OUT/runs, and not done again when the command is repeated.
     """
-    from infomap_ros.studies.rover.figures import all_figures
+    from infomap_ros.studies.rover.rover_study import all_figures
 
     with refusals():
         config = RoverStudyConfig(

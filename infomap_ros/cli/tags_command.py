@@ -15,8 +15,8 @@ from infomap_ros.cli.results import results_in
 from infomap_ros.errors import ConfigError, InvalidInputError
 from infomap_ros.geometry import PinholeCamera
 from infomap_ros.localization.target.tag_board import FAMILIES
-from infomap_ros.localization.target.tag_detection import Tags
-from infomap_ros.localization.target.tag_photos import (
+from infomap_ros.localization.target.tag_detection import (
+    Tags,
     draw_tags,
     find_tags,
     read_photo,

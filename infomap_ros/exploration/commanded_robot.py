@@ -10,8 +10,7 @@ from typing import ClassVar, Protocol
 import numpy as np
 
 from infomap_ros.errors import PoseUnavailableError
-from infomap_ros.exploration.planar import planar_pose
-from infomap_ros.exploration.robot import Interrupted, Motion, RobotState
+from infomap_ros.exploration.robot import Interrupted, Motion, RobotState, planar_pose
 from infomap_ros.geometry.config import check_config, parameter, setting
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.motion.arm.controller_trajectories import stopping_path

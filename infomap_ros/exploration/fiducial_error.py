@@ -9,12 +9,12 @@ import numpy as np
 from infomap_ros.geometry import StereoRig
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.localization.dead_reckoning import DeadReckoningConfig
-from infomap_ros.localization.filter.records import Fiducials
+from infomap_ros.localization.filter.config import Fiducials
 from infomap_ros.localization.prediction.error_prediction import (
     ErrorPrediction,
     ErrorPredictionConfig,
+    Ways,
 )
-from infomap_ros.localization.prediction.ways import Ways
 from infomap_ros.views.ranking.terms import OdometryDrift
 from infomap_ros.views.situation import Situation
 

@@ -15,9 +15,7 @@ from dataclasses import asdict
 import numpy as np
 
 from infomap_ros.errors import InfomapError, TeammatesBusyError
-from infomap_ros.exploration.control import Control, Request
 from infomap_ros.exploration.mission import Mission
-from infomap_ros.exploration.planar import way_length
 from infomap_ros.exploration.records.run_log import RunLog
 from infomap_ros.exploration.robot import (
     Choice,
@@ -29,15 +27,18 @@ from infomap_ros.exploration.robot import (
     Planner,
     Robot,
     RobotState,
+    way_length,
 )
 from infomap_ros.exploration.rules import (
     STOPPED,
     BudgetSpent,
+    Control,
     Ending,
     EndReason,
     Fallback,
     NoViewLeft,
     PlanOnly,
+    Request,
     ReturnToLastView,
     StopRequested,
     StopRule,

@@ -11,8 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from infomap_ros.errors import InvalidInputError, MissionFileError
-from infomap_ros.exploration.planar import planar_pose
-from infomap_ros.exploration.robot import KnownPlace, RobotState
+from infomap_ros.exploration.robot import KnownPlace, RobotState, planar_pose
 from infomap_ros.geometry import check_transform
 from infomap_ros.geometry.atomic_file import write_json
 from infomap_ros.geometry.transforms import (

@@ -17,19 +17,15 @@ from infomap_ros.mapping import LOG_ODDS_QUANTUM, VoxelMap, VoxelMapConfig
 from infomap_ros.mapping.voxels.window import UNKNOWN_QUANTA
 from infomap_ros.motion.reaching import WholeBodyReach
 from infomap_ros.motion.route import ReachResult
-from infomap_ros.views.decision import ViewDecision
-from infomap_ros.views.goal_memory import GoalMemory
-from infomap_ros.views.information.expected_information import bits_in
+from infomap_ros.views.decision import GoalMemory, ViewDecision
 from infomap_ros.views.information.field import (
     VisibleField,
     visible_field,
     with_nothing_unknown_but,
 )
-from infomap_ros.views.information.gains import code_book
-from infomap_ros.views.information.information_config import InformationConfig
-from infomap_ros.views.information.observation_value import expected_reduction
-from infomap_ros.views.information.view_information import ExpectedInformation
-from infomap_ros.views.information.view_query import ViewQuery
+from infomap_ros.views.information.gains import code_book, expected_reduction
+from infomap_ros.views.information.view_information import ExpectedInformation, bits_in
+from infomap_ros.views.information.view_query import InformationConfig, ViewQuery
 from infomap_ros.views.next_best_view import NextBestView, NextBestViewConfig
 from infomap_ros.views.ranking.options import InformationSource, Options, claimed_gains, shares_left
 from infomap_ros.views.ranking.rating import Ratings

@@ -12,14 +12,13 @@ from infomap_ros.exploration.view_planner_config import ViewPlannerConfig
 from infomap_ros.geometry import PinholeCamera, PlacedSolid
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap
-from infomap_ros.mapping.files.projection import ProjectedGrid
+from infomap_ros.mapping.files.export import ProjectedGrid
 from infomap_ros.motion.base.standing_ground import ClearStart, known_ground
 from infomap_ros.motion.keep_out import KeepOut, Obstacle, with_keep_out
-from infomap_ros.motion.reaching import WholeBodyReach
+from infomap_ros.motion.reaching import WholeBodyReach, traversability
 from infomap_ros.motion.robot.robot_model import RobotModel
 from infomap_ros.motion.route import ReachResult, Route
 from infomap_ros.motion.route_check import RouteCheck
-from infomap_ros.motion.traversability import traversability
 from infomap_ros.motion.whole_body import WholeBody, base_sigma
 from infomap_ros.views.situation import MotionTimes
 

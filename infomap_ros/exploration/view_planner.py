@@ -9,10 +9,16 @@ from typing import Any
 import numpy as np
 
 from infomap_ros.exploration.mission import Mission, look_poses
-from infomap_ros.exploration.planar import planar_pose
 from infomap_ros.exploration.progress import measure_progress
-from infomap_ros.exploration.records.surface_growth import SurfaceGrowth
-from infomap_ros.exploration.robot import Choice, FailedView, KnownPlace, MapProgress, RobotState
+from infomap_ros.exploration.records.choice_text import SurfaceGrowth
+from infomap_ros.exploration.robot import (
+    Choice,
+    FailedView,
+    KnownPlace,
+    MapProgress,
+    RobotState,
+    planar_pose,
+)
 from infomap_ros.exploration.task import TaskConfig
 from infomap_ros.exploration.view_choice import ViewChoice
 from infomap_ros.exploration.view_motion import ViewMotion
@@ -29,13 +35,17 @@ from infomap_ros.motion.robot.solid_extent import (
     solid_extent,
 )
 from infomap_ros.motion.route import ReachResult, Route
-from infomap_ros.views.decision import RatedView, ViewDecision
-from infomap_ros.views.goal_memory import GoalMemory
-from infomap_ros.views.information.information_config import InformationConfig
+from infomap_ros.views.decision import (
+    GainPrior,
+    GoalMemory,
+    RatedView,
+    UnproductiveLooks,
+    ViewDecision,
+)
 from infomap_ros.views.information.view_information import ExpectedInformation
+from infomap_ros.views.information.view_query import InformationConfig
 from infomap_ros.views.ranking.terms import LocalizationError
 from infomap_ros.views.situation import Interest, RegionOfTask, Situation, Teammate
-from infomap_ros.views.unproductive_looks import GainPrior, UnproductiveLooks
 
 __all__ = ["Surrounding", "ViewPlanner", "ViewPlannerConfig"]
 

@@ -6,7 +6,6 @@ from infomap_ros.geometry.camera import (
     StereoRig,
     rig_from_calibrations,
 )
-from infomap_ros.geometry.polygon import Polygon
 from infomap_ros.geometry.pose_buffer import PoseBuffer, PoseBufferConfig
 from infomap_ros.geometry.pose_uncertainty import (
     MotionClock,
@@ -23,12 +22,15 @@ from infomap_ros.geometry.records import (
     Record,
     TextRecord,
     TransformRecord,
+    WaitingQueue,
+    WaitingQueueConfig,
 )
 from infomap_ros.geometry.solids import (
     Box,
     ConvexPolytope,
     Cylinder,
     PlacedSolid,
+    Polygon,
     Solid,
     Sphere,
     points_inside,
@@ -49,7 +51,6 @@ from infomap_ros.geometry.transforms import (
     transform_from_quaternion,
     transform_points,
 )
-from infomap_ros.geometry.waiting_queue import WaitingQueue, WaitingQueueConfig
 
 __all__ = [
     "Box",

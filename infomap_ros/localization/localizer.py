@@ -24,12 +24,11 @@ from infomap_ros.geometry import (
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.localization.fiducials.observations import FiducialObservations
 from infomap_ros.localization.fiducials.range_view import RangeView
-from infomap_ros.localization.filter.adaptive_noise import AdaptiveNoise
+from infomap_ros.localization.filter.config import Fiducials, FilterUpdate, KeptPoses
 from infomap_ros.localization.filter.fiducial_filter import FiducialFilter
 from infomap_ros.localization.filter.free_motion import FreeMotion
-from infomap_ros.localization.filter.hypothesis_choice import CONTRADICTION
+from infomap_ros.localization.filter.hypothesis_choice import CONTRADICTION, AdaptiveNoise
 from infomap_ros.localization.filter.motion_prior import MotionPrior
-from infomap_ros.localization.filter.records import Fiducials, FilterUpdate, KeptPoses
 from infomap_ros.localization.localized_camera import Choice, LocalizedCamera, State
 from infomap_ros.localization.localizer_config import LocalizerConfig
 from infomap_ros.localization.recovery import Recovery

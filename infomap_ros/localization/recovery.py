@@ -14,7 +14,7 @@ from infomap_ros.localization.filter.consensus import agreeing, find_pose
 from infomap_ros.localization.filter.fiducial_filter import FiducialFilter
 from infomap_ros.localization.filter.hypothesis_choice import UNSUPPORTED
 from infomap_ros.localization.filter.motion_prior import MotionPrior
-from infomap_ros.localization.filter.pose_errors import invariant_difference, invariant_from_pose
+from infomap_ros.localization.filter.shared_errors import invariant_difference, invariant_from_pose
 from infomap_ros.localization.filter.sight import Measured
 from infomap_ros.localization.localizer_config import LocalizerConfig
 from infomap_ros.localization.scene_fiducials import SceneFiducials, joined

@@ -19,15 +19,15 @@ from infomap_ros.localization.fiducials.observations import FiducialObservations
 from infomap_ros.localization.fiducials.range_view import RangeView
 from infomap_ros.localization.fiducials.selection import select_fiducials
 from infomap_ros.localization.fiducials.tracker import FiducialTracker
-from infomap_ros.localization.fiducials.viewpoints import (
+from infomap_ros.localization.fiducials.tracks import (
     look_the_same,
     moved_viewpoint,
     turns_since,
     viewpoint,
 )
+from infomap_ros.localization.filter.config import Fiducials, FilterUpdate
 from infomap_ros.localization.filter.fiducial_filter import FiducialFilter
 from infomap_ros.localization.filter.motion_prior import MotionPrior
-from infomap_ros.localization.filter.records import Fiducials, FilterUpdate
 from infomap_ros.localization.localized_camera import Choice
 from infomap_ros.localization.localizer_config import LocalizerConfig
 from infomap_ros.localization.target.scene_tags import SceneTags

@@ -25,11 +25,21 @@ import numpy as np
 from infomap_ros.geometry.kernel import kernel
 from infomap_ros.geometry.symmetric import smallest_axis
 from infomap_ros.mapping.config import LOG_ODDS_QUANTUM
-from infomap_ros.mapping.scans.grid_walk import begin_walk, next_voxel, way_through
 from infomap_ros.mapping.voxels.block_kernels import find_block, quanta_at
-from infomap_ros.mapping.voxels.gaussians import variance_along
-from infomap_ros.mapping.voxels.keys import BLOCK_BITS, local_index, pack
-from infomap_ros.mapping.voxels.surface_kernels import ROW_SIZE, lies_in_voxel, read_information
+from infomap_ros.mapping.voxels.keys import (
+    BLOCK_BITS,
+    begin_walk,
+    local_index,
+    next_voxel,
+    pack,
+    way_through,
+)
+from infomap_ros.mapping.voxels.surface_kernels import (
+    ROW_SIZE,
+    lies_in_voxel,
+    read_information,
+    variance_along,
+)
 
 _FLAT = 0.9
 """A Gaussian has a normal where the variance along it is less than this share of that across it."""

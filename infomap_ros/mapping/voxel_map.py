@@ -26,9 +26,8 @@ from infomap_ros.mapping.files.map_file import read_map_file, write_map_file
 from infomap_ros.mapping.scans import scan_input
 from infomap_ros.mapping.scans.integration import IntegrationReport, ScanIntegrator
 from infomap_ros.mapping.voxels import queries
-from infomap_ros.mapping.voxels.blocks import BLOCK_COUNT
 from infomap_ros.mapping.voxels.changes import VoxelChanges, mark_changed, put_offset, take_changes
-from infomap_ros.mapping.voxels.keys import BLOCK_SIDE, unpack_all
+from infomap_ros.mapping.voxels.keys import BLOCK_COUNT, BLOCK_SIDE, unpack_all
 from infomap_ros.mapping.voxels.state import MEMORY_ARRAY, storage_from_state, storage_state
 from infomap_ros.mapping.voxels.storage import MapStorage
 from infomap_ros.mapping.voxels.window import VoxelWindow, window_of

@@ -25,13 +25,23 @@ from infomap_ros.messages.clouds import (
 from infomap_ros.messages.encode import (
     encode,
     encode_camera_info,
+    encode_clock,
+    encode_disparity,
     encode_image,
     encode_joint_state,
+    encode_occupancy_grid,
     encode_odometry,
     encode_pose,
     encode_text,
     encode_transforms,
     message_type_of,
+)
+from infomap_ros.messages.fields import (
+    MessageTypes,
+    RosbagsMessageTypes,
+    header_stamp,
+    make_header,
+    make_time,
 )
 from infomap_ros.messages.images import (
     CAMERA_INFO,
@@ -57,9 +67,6 @@ from infomap_ros.messages.poses import (
     decode_transform,
     decode_transforms,
 )
-from infomap_ros.messages.products import encode_clock, encode_disparity, encode_occupancy_grid
-from infomap_ros.messages.raw import header_stamp
-from infomap_ros.messages.types import MessageTypes, RosbagsMessageTypes, make_header, make_time
 
 _DECODERS: dict[str, Callable[[object], Record]] = {
     IMAGE: decode_image,

@@ -13,8 +13,13 @@ import numpy as np
 
 from infomap_ros.geometry import PinholeCamera, make_transform, transform_points
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.messages.fields import MessageFields
-from infomap_ros.messages.types import MessageTypes, make_header, make_pose, make_vector
+from infomap_ros.messages.fields import (
+    MessageFields,
+    MessageTypes,
+    make_header,
+    make_pose,
+    make_vector,
+)
 from infomap_ros.team.agents import Agent
 
 AGENTS = "visualization_msgs/msg/MarkerArray"

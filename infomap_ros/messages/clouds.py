@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry.kernel import kernel
 from infomap_ros.geometry.records import PointCloudRecord
-from infomap_ros.messages.fields import MessageFields
-from infomap_ros.messages.types import MessageTypes, make_header
+from infomap_ros.messages.fields import MessageFields, MessageTypes, make_header
 from infomap_ros.stereo.range_cloud import CORRELATION_FIELD, CORRELATION_OFFSET, PACKED_FIELDS
 
 POINT_CLOUD = "sensor_msgs/msg/PointCloud2"

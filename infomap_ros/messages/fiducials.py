@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from infomap_ros.errors import MalformedMessageError
-from infomap_ros.localization.filter.records import Fiducials
+from infomap_ros.localization.filter.config import Fiducials
 from infomap_ros.messages.clouds import POINT_CLOUD
+from infomap_ros.messages.fields import MessageTypes
 from infomap_ros.messages.rows import decode_rows, encode_rows
-from infomap_ros.messages.types import MessageTypes
 
 FIDUCIAL_ROW = np.dtype(
     [
@@ -26,7 +26,7 @@ FIDUCIAL_ROW = np.dtype(
 """A fiducial: position [m], id, largest standard deviation [m] and covariance [m^2]."""
 
 _COVARIANCE = [name for name in FIDUCIAL_ROW.names or () if name.startswith("cov_")]
-_UPPER = np.triu_indices(3)
+_UPPER_3 = np.triu_indices(3)
 _ROUNDING = 1e-6  # of a float32 eigenvalue, as a share of the largest
 
 
@@ -37,7 +37,7 @@ def fiducial_rows(fiducials: Fiducials) -> NDArray[np.void]:
     rows["id"] = fiducials.ids
     if len(rows):
         rows["sigma"] = np.sqrt(np.linalg.eigvalsh(fiducials.covariances)[:, -1])
-    for name, i, j in zip(_COVARIANCE, *_UPPER, strict=True):
+    for name, i, j in zip(_COVARIANCE, *_UPPER_3, strict=True):
         rows[name] = fiducials.covariances[:, i, j]
     return rows
 
@@ -64,7 +64,7 @@ def decode_fiducials(message: object) -> tuple[int, str, Fiducials]:
         raise MalformedMessageError(POINT_CLOUD, "holds a fiducial with NaN or infinity")
     positions = np.column_stack([rows[name] for name in "xyz"]).astype(np.float64)
     covariances = np.empty((len(rows), 3, 3))
-    for name, i, j in zip(_COVARIANCE, *_UPPER, strict=True):
+    for name, i, j in zip(_COVARIANCE, *_UPPER_3, strict=True):
         covariances[:, i, j] = covariances[:, j, i] = rows[name]
     if len(np.unique(rows["id"])) < len(rows):
         raise MalformedMessageError(POINT_CLOUD, "holds a fiducial twice")

@@ -15,14 +15,14 @@ from infomap_ros.errors import InvalidInputError, MalformedMessageError
 from infomap_ros.geometry import PoseUncertainty
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.messages.clouds import POINT_CLOUD
+from infomap_ros.messages.fields import MessageTypes
 from infomap_ros.messages.rows import decode_rows, encode_rows
-from infomap_ros.messages.types import MessageTypes
 
-_UPPER = np.triu_indices(6)
+_UPPER_6 = np.triu_indices(6)
 _PARTS = ("drift", "white", "offset")
 
 POSE_UNCERTAINTY_ROW = np.dtype(
-    [("clock", "<f8"), ("origin", "<u4"), *((part, "<f8", (len(_UPPER[0]),)) for part in _PARTS)]
+    [("clock", "<f8"), ("origin", "<u4"), *((part, "<f8", (len(_UPPER_6[0]),)) for part in _PARTS)]
 )
 """Clock, origin and the upper triangle, row by row, of each part of `PoseUncertainty` [m, rad]."""
 
@@ -41,7 +41,7 @@ def encode_pose_uncertainty(
     rows = np.zeros(1, POSE_UNCERTAINTY_ROW)
     rows["clock"], rows["origin"] = uncertainty.clock, uncertainty.origin
     for part in _PARTS:
-        rows[part] = getattr(uncertainty, part)[_UPPER]
+        rows[part] = getattr(uncertainty, part)[_UPPER_6]
     return encode_rows(types, stamp, frame_id, rows)
 
 
@@ -72,6 +72,6 @@ def decode_pose_uncertainty(message: object) -> tuple[int, str, PoseUncertainty]
 def _symmetric(upper: NDArray[np.float64]) -> FloatArray:
     """The matrix, shape (6, 6), of an upper triangle, shape (21,)."""
     matrix = np.zeros((6, 6))
-    matrix[_UPPER] = upper
-    matrix.T[_UPPER] = upper
+    matrix[_UPPER_6] = upper
+    matrix.T[_UPPER_6] = upper
     return matrix

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from infomap_ros.errors import InvalidInputError
 from infomap_ros.messages.clouds import POINT_CLOUD, POINT_FIELD
-from infomap_ros.messages.fields import MessageFields
-from infomap_ros.messages.types import MessageTypes, make_header
+from infomap_ros.messages.fields import MessageFields, MessageTypes, make_header
 
 _CODE_OF_TYPE = {"i1": 1, "u1": 2, "i2": 3, "u2": 4, "i4": 5, "u4": 6, "f4": 7, "f8": 8}
 _MAX_COUNT = 4096

@@ -16,9 +16,8 @@ from sensor_msgs.msg import CameraInfo
 from infomap_ros.errors import PoseUnavailableError
 from infomap_ros.geometry import OdometryRecord, PoseRecord, TransformRecord, invert_transform
 from infomap_ros.geometry.pose_buffer import PoseBuffer, PoseBufferConfig
-from infomap_ros.geometry.waiting_queue import WaitingQueue, WaitingQueueConfig
-from infomap_ros.localization.base_pose import told_base
-from infomap_ros.localization.dead_reckoning import DeadReckoning, DeadReckoningConfig
+from infomap_ros.geometry.records import WaitingQueue, WaitingQueueConfig
+from infomap_ros.localization.dead_reckoning import DeadReckoning, DeadReckoningConfig, told_base
 from infomap_ros.messages import decode_camera_info, encode_pose
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode

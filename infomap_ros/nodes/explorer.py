@@ -23,12 +23,11 @@ from std_srvs.srv import Trigger
 
 from infomap_ros.errors import CalibrationError, ExplorationError, InfomapError
 from infomap_ros.exploration.commanded_robot import CommandedRobot, CommandedRobotConfig
-from infomap_ros.exploration.control import Control, Request
 from infomap_ros.exploration.loop import Exploration
 from infomap_ros.exploration.mission import Mission
 from infomap_ros.exploration.records.run_log import RunLogFile
 from infomap_ros.exploration.robot import FailedView, Interrupted
-from infomap_ros.exploration.rules import STOPPED, Ending, EndReason
+from infomap_ros.exploration.rules import STOPPED, Control, Ending, EndReason, Request
 from infomap_ros.exploration.target.target_hunt import find_target
 from infomap_ros.exploration.task import TaskConfig
 from infomap_ros.exploration.team.keep_clear import PAUSE, Awareness, KeepClearConfig, KeepsClear
@@ -48,8 +47,7 @@ from infomap_ros.nodes.planning.exploration_status import status_message
 from infomap_ros.nodes.planning.remote_planner import RemotePlanner, RemotePlannerConfig
 from infomap_ros.nodes.planning.robot_topics import RobotTopics
 from infomap_ros.nodes.robot.robot_tracker import RobotTracker, RobotTrackerConfig
-from infomap_ros.nodes.team.agents_topic import listen_to_agents
-from infomap_ros.nodes.team.team_identity import TeamIdentityConfig
+from infomap_ros.nodes.team.team_topics import TeamIdentityConfig, listen_to_agents
 from infomap_ros.team.agent_board import AgentBoard
 from infomap_ros.team.agents import Agent
 

@@ -25,8 +25,8 @@ import numpy as np
 from infomap_ros.exploration.team.teammate_places import TeammatePlacesConfig
 from infomap_ros.geometry import PoseRecord
 from infomap_ros.geometry.pose_buffer import PoseBufferConfig
+from infomap_ros.geometry.records import WaitingQueueConfig
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.geometry.waiting_queue import WaitingQueueConfig
 from infomap_ros.localization.dead_reckoning import DeadReckoningConfig
 from infomap_ros.localization.fiducials.sparse_stereo import SparseStereoConfig
 from infomap_ros.localization.filter.motion_prior import KinematicMotion
@@ -35,19 +35,16 @@ from infomap_ros.localization.saved_localization import SavedLocalization
 from infomap_ros.localization.target.config import TargetConfig, make_detector
 from infomap_ros.localization.target.team_alignment import TeamTagsConfig
 from infomap_ros.nodes.common.base import MonitoredNode
-from infomap_ros.nodes.common.compiling import prepare_kernels
 from infomap_ros.nodes.common.lockstep import LockstepConfig
 from infomap_ros.nodes.common.memory import MemoryConfig, reserve_heap
 from infomap_ros.nodes.common.orders import offer_order
-from infomap_ros.nodes.common.run import run_node
+from infomap_ros.nodes.common.run import prepare_kernels, run_node
 from infomap_ros.nodes.locating.base_topics import INITIAL_POSE, listen_to_initial_pose
-from infomap_ros.nodes.locating.localization_config import FiducialLocalizationConfig
+from infomap_ros.nodes.locating.localization_config import FiducialLocalizationConfig, warm_up
 from infomap_ros.nodes.locating.localization_news import LocalizationNews
-from infomap_ros.nodes.locating.localization_warm_up import warm_up
 from infomap_ros.nodes.locating.odom_frame import MapFrameConfig
 from infomap_ros.nodes.locating.teammate_sight import TeammateSight
-from infomap_ros.nodes.ranging.range_sources import depth_topics, stereo_topics
-from infomap_ros.nodes.robot.image_inputs import ImageInputs
+from infomap_ros.nodes.robot.image_inputs import ImageInputs, depth_topics, stereo_topics
 from infomap_ros.nodes.robot.posture_listener import PostureListener
 from infomap_ros.nodes.robot.robot_tracker import RobotTrackerConfig
 from infomap_ros.nodes.team.map_listener import MapListener, MapListenerConfig
@@ -57,8 +54,8 @@ from infomap_ros.nodes.team.map_moves import (
     describe_move,
     listen_to_moves,
 )
-from infomap_ros.nodes.team.team_identity import TeamIdentityConfig
 from infomap_ros.nodes.team.team_radio import TeamRadioConfig
+from infomap_ros.nodes.team.team_topics import TeamIdentityConfig
 from infomap_ros.pipeline.camera_localizer import CameraLocalizer, CameraLocalizerConfig
 from infomap_ros.pipeline.image_synchronizer import ImageSet
 from infomap_ros.pipeline.perception import ImageSources
@@ -70,7 +67,7 @@ from infomap_ros.pipeline.view_estimator import (
 )
 from infomap_ros.pipeline.view_synchronizer import PosturedView, ViewSynchronizer
 from infomap_ros.stereo import DepthCameraConfig, StereoConfig
-from infomap_ros.team.agents_config import AgentBoardConfig
+from infomap_ros.team.agents import AgentBoardConfig
 from infomap_ros.team.config import TeamConfig
 
 

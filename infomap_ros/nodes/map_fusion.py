@@ -26,20 +26,19 @@ from numpy.typing import NDArray
 from sensor_msgs.msg import PointCloud2
 
 from infomap_ros.errors import FrameError
-from infomap_ros.exploration.team.team_bodies import TeamBodiesConfig
-from infomap_ros.exploration.team.teammate_places import BodyInScan
+from infomap_ros.exploration.team.teammate_places import BodyInScan, TeamBodiesConfig
 from infomap_ros.geometry.assumed_pose import AssumedPoseConfig
 from infomap_ros.geometry.config import check_config, parameter, setting
 from infomap_ros.geometry.joint_buffer import JointBufferConfig
 from infomap_ros.geometry.pose_buffer import PoseBufferConfig
+from infomap_ros.geometry.records import WaitingQueueConfig
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.geometry.waiting_queue import WaitingQueueConfig
 from infomap_ros.mapping import VoxelMapConfig
 from infomap_ros.mapping.correction.reintegration import ReintegrationConfig
 from infomap_ros.mapping.correction.scan_store import ScanStoreConfig
-from infomap_ros.mapping.files.projection import ProjectionConfig
+from infomap_ros.mapping.files.export import ProjectionConfig
 from infomap_ros.mapping.scans.body import BodyFilterConfig
-from infomap_ros.messages.keyframes import (
+from infomap_ros.messages.motions import (
     KeyframePoses,
     decode_keyframe_covariances,
     decode_keyframe_poses,
@@ -63,11 +62,10 @@ from infomap_ros.nodes.fusion.scan_inputs import ScanInputs
 from infomap_ros.nodes.robot.robot_body import RobotBodyConfig
 from infomap_ros.nodes.team.map_moves import listen_to_moves
 from infomap_ros.nodes.team.team_bodies import TeamBodyConfig
-from infomap_ros.nodes.team.team_identity import TeamIdentityConfig
 from infomap_ros.nodes.team.team_radio import TeamRadioConfig
-from infomap_ros.pipeline.scan_synchronizer import Scan, ScanSynchronizerConfig
-from infomap_ros.pipeline.stamped_parts import StampedParts
-from infomap_ros.team.agents_config import AgentBoardConfig
+from infomap_ros.nodes.team.team_topics import TeamIdentityConfig
+from infomap_ros.pipeline.scan_synchronizer import Scan, ScanSynchronizerConfig, StampedParts
+from infomap_ros.team.agents import AgentBoardConfig
 from infomap_ros.team.config import TeamConfig
 
 

@@ -47,35 +47,32 @@ from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.joint_buffer import JointBufferConfig
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.localization.dead_reckoning import DeadReckoningConfig
-from infomap_ros.localization.filter.records import Fiducials
+from infomap_ros.localization.filter.config import Fiducials
 from infomap_ros.localization.prediction.error_prediction import ErrorPredictionConfig
 from infomap_ros.localization.target.search import TargetSearchConfig
 from infomap_ros.mapping import VoxelMap
-from infomap_ros.mapping.files.projection import ProjectedGrid
+from infomap_ros.mapping.files.export import ProjectedGrid
 from infomap_ros.messages.fiducials import decode_fiducials
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
-from infomap_ros.nodes.common.compiling import prepare_kernels
 from infomap_ros.nodes.common.lockstep import LockstepConfig
 from infomap_ros.nodes.common.orders import offer_order
-from infomap_ros.nodes.common.run import run_node
+from infomap_ros.nodes.common.run import prepare_kernels, run_node
 from infomap_ros.nodes.planning.exploration_status import ExplorationNews, read_status
-from infomap_ros.nodes.planning.keep_out_listener import KeepOutListener
-from infomap_ros.nodes.planning.marker_set import MARKER, MarkerSet, pose_of
-from infomap_ros.nodes.planning.plan_outputs import PlanOutputs
+from infomap_ros.nodes.planning.keep_out_listener import MARKER, KeepOutListener, MarkerSet, pose_of
+from infomap_ros.nodes.planning.plan_outputs import PlanOutputs, TraversabilityMap
 from infomap_ros.nodes.planning.plan_warm_up import warm_up
-from infomap_ros.nodes.planning.route_status import WORKING, RouteStatusPublisher
-from infomap_ros.nodes.planning.traversability_map import TraversabilityMap
+from infomap_ros.nodes.planning.remote_planner import WORKING, RouteStatusPublisher
 from infomap_ros.nodes.robot.robot_tracker import RobotTracker, RobotTrackerConfig
 from infomap_ros.nodes.team.map_listener import MapListener, MapListenerConfig
 from infomap_ros.nodes.team.team_agents import TeamAgents
-from infomap_ros.nodes.team.team_identity import TeamIdentityConfig
 from infomap_ros.nodes.team.team_radio import TeamRadioConfig
+from infomap_ros.nodes.team.team_topics import TeamIdentityConfig
 from infomap_ros.stereo import DepthCameraConfig
-from infomap_ros.team.agents_config import AgentsConfig
+from infomap_ros.team.agents import AgentsConfig
 from infomap_ros.team.config import TeamConfig
-from infomap_ros.views.information.information_config import DISPARITY_SIGMA
 from infomap_ros.views.information.view_information import ExpectedInformation
+from infomap_ros.views.information.view_query import DISPARITY_SIGMA
 from infomap_ros.views.ranking.strategies import make_strategy
 from infomap_ros.views.situation import Interest
 

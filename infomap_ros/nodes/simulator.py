@@ -27,12 +27,15 @@ from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.common.lockstep import LockstepConductor, LockstepConfig
 from infomap_ros.nodes.common.run import run_node
-from infomap_ros.nodes.simulated.simulator_actions import SimulatorActions
-from infomap_ros.nodes.simulated.simulator_inputs import SimulatorInputs, SimulatorInputsConfig
+from infomap_ros.nodes.simulated.simulator_actions import (
+    SimulatorActions,
+    SimulatorInputs,
+    SimulatorInputsConfig,
+)
 from infomap_ros.nodes.simulated.simulator_outputs import SimulatorOutputs, SimulatorOutputsConfig
 from infomap_ros.simulation.body.robot import find_description, read_description
 from infomap_ros.simulation.body.robot_account import RobotAccount
-from infomap_ros.simulation.multi_robot.shared_time import SharedTime
+from infomap_ros.simulation.multi_robot.turns import SharedTime
 from infomap_ros.simulation.sensor_schedule import TICK, SensorScheduleConfig
 from infomap_ros.simulation.simulator import Simulator, SimulatorConfig
 from infomap_ros.simulation.worlds.scenes import build_scene, describe_scene, scene_of

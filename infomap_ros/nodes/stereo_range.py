@@ -22,13 +22,11 @@ from infomap_ros.geometry.config import check_config, parameter, setting
 from infomap_ros.messages import encode_disparity, encode_image, encode_range_cloud
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
-from infomap_ros.nodes.common.compiling import prepare_kernels
 from infomap_ros.nodes.common.lockstep import LockstepConfig
 from infomap_ros.nodes.common.memory import MemoryConfig, reserve_heap, use_shared_memory
 from infomap_ros.nodes.common.message_types import RclpyMessageTypes
-from infomap_ros.nodes.common.run import run_node
-from infomap_ros.nodes.ranging.range_sources import depth_topics, stereo_topics
-from infomap_ros.nodes.robot.image_inputs import ImageInputs
+from infomap_ros.nodes.common.run import prepare_kernels, run_node
+from infomap_ros.nodes.robot.image_inputs import ImageInputs, depth_topics, stereo_topics
 from infomap_ros.pipeline.image_synchronizer import ImageSet
 from infomap_ros.pipeline.range_estimator import (
     DepthRangeEstimator,

@@ -36,16 +36,14 @@ from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.common.run import run_node
 from infomap_ros.nodes.planning.plan_outputs import CANDIDATES, REJECTED
 from infomap_ros.nodes.robot.robot_tracker import RobotTracker, RobotTrackerConfig
-from infomap_ros.nodes.team.agents_topic import listen_to_agents
 from infomap_ros.nodes.team.map_listener import MapListener, MapListenerConfig
-from infomap_ros.nodes.team.team_identity import TeamIdentityConfig
 from infomap_ros.nodes.team.team_radio import TeamRadioConfig
+from infomap_ros.nodes.team.team_topics import TeamIdentityConfig, listen_to_agents
 from infomap_ros.team.agent_board import AgentBoard
-from infomap_ros.team.agents_config import AgentBoardConfig
+from infomap_ros.team.agents import AgentBoardConfig
 from infomap_ros.team.config import TeamConfig
 from infomap_ros.viewer import LivePage, PageConfig
-from infomap_ros.viewer.interest_box import InterestBox
-from infomap_ros.viewer.run_panel import map_figures
+from infomap_ros.viewer.run_panel import InterestBox, map_figures
 from infomap_ros.viewer.views_layer import ConsideredView
 
 _MARKERS = "visualization_msgs/msg/MarkerArray"

@@ -19,10 +19,10 @@ from infomap_ros.geometry import (
     make_transform,
 )
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.localization.base_pose import told_base, told_camera
+from infomap_ros.localization.dead_reckoning import told_base, told_camera
 from infomap_ros.localization.fiducials.range_view import RangeView
+from infomap_ros.localization.filter.config import Fiducials, KeptPoses
 from infomap_ros.localization.filter.motion_prior import KinematicMotion, MotionPrior, RobotPosture
-from infomap_ros.localization.filter.records import Fiducials, KeptPoses
 from infomap_ros.localization.localized_camera import LocalizedCamera
 from infomap_ros.localization.localizer import Localizer
 from infomap_ros.localization.localizer_config import LocalizerConfig

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from infomap_ros.localization.filter.records import KeptPoses
+from infomap_ros.localization.filter.config import KeptPoses
 from infomap_ros.localization.localized_camera import LocalizedCamera
 
 LEAST_CORRECTION = 0.002  # [m], and as many radians

@@ -27,7 +27,7 @@ from infomap_ros.mapping.correction.reintegration import ReintegrationConfig, Re
 from infomap_ros.mapping.correction.scan_store import ScanStore, ScanStoreConfig
 from infomap_ros.mapping.scans.body import BodyFilterConfig, body_mask
 from infomap_ros.mapping.scans.integration import IntegrationReport
-from infomap_ros.messages.keyframes import KeyframePoses
+from infomap_ros.messages.motions import KeyframePoses
 from infomap_ros.pipeline.scan_synchronizer import Scan
 
 _MOST_WAITING = 20

@@ -18,10 +18,10 @@ from infomap_ros.geometry import (
     transform_from_quaternion,
 )
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.localization.filter.records import KeptPoses
+from infomap_ros.localization.filter.config import KeptPoses
 from infomap_ros.localization.localized_camera import LocalizedCamera
 from infomap_ros.mapping.scans.integration import IntegrationReport
-from infomap_ros.messages.keyframes import KeyframePoses
+from infomap_ros.messages.motions import KeyframePoses
 from infomap_ros.pipeline.camera_localizer import CameraLocalizer
 from infomap_ros.pipeline.keyframe_changes import KeyframeChanges
 from infomap_ros.pipeline.map_builder import MapBuilder

@@ -14,8 +14,8 @@ from infomap_ros.geometry import (
     invert_transform,
 )
 from infomap_ros.geometry.joint_buffer import JointBuffer
+from infomap_ros.geometry.pose_buffer import TransformTree
 from infomap_ros.geometry.records import JointStateRecord
-from infomap_ros.geometry.transform_tree import TransformTree
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.localization.filter.motion_prior import RobotPosture
 from infomap_ros.motion.robot.robot_model import RobotModel

@@ -2,6 +2,8 @@
 
 When the clock jumps back (a bag that loops), clouds from before the jump still get the poses from
 before it, and those after it never do. What still waits when the clouds have jumped is dropped.
+
+Records that come in two messages of one stamp: poses and their uncertainty, say.
 """
 
 from __future__ import annotations
@@ -16,10 +18,54 @@ from infomap_ros.exploration.team.teammate_places import BodyInScan
 from infomap_ros.geometry import PlacedSolid, PoseRecord, PoseUncertainty, Record
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.pose_buffer import PoseBuffer, PoseBufferConfig
-from infomap_ros.geometry.waiting_queue import WaitingQueue, WaitingQueueConfig
+from infomap_ros.geometry.records import WaitingQueue, WaitingQueueConfig
 from infomap_ros.pipeline.clock_jumps import ClockGate, JumpingBuffer
 from infomap_ros.pipeline.robot_body import RobotBody
-from infomap_ros.pipeline.stamped_parts import StampedParts
+
+Main = TypeVar("Main")
+Part = TypeVar("Part")
+
+_CAPACITY = 100  # of each kind; older ones give way
+
+
+class StampedParts(Generic[Main, Part]):
+    """Completes records with the parts of the same stamp, whichever comes first.
+
+    A record waits for its part where parts are published. It goes on without its part when a later
+    record is complete, or when too many wait.
+
+    Args:
+        are_published: whether there are parts to wait for.
+    """
+
+    def __init__(self, are_published: Callable[[], bool]) -> None:
+        self._are_published = are_published
+        self._mains: dict[int, Main] = {}
+        self._parts: dict[int, Part] = {}
+
+    def add(self, stamp: int, record: Main) -> list[tuple[Main, Part | None]]:
+        """Add a record; returns those that can go on, with their parts, in order of arrival."""
+        self._mains[stamp] = record
+        if stamp in self._parts or not self._are_published() or len(self._mains) > _CAPACITY:
+            return self._complete(stamp)
+        return []
+
+    def add_part(self, stamp: int, part: Part) -> list[tuple[Main, Part | None]]:
+        """Add a part; returns as `add`."""
+        self._parts[stamp] = part
+        while len(self._parts) > _CAPACITY:
+            del self._parts[next(iter(self._parts))]
+        return self._complete(stamp) if stamp in self._mains else []
+
+    def _complete(self, stamp: int) -> list[tuple[Main, Part | None]]:
+        """All records up to one stamp."""
+        done = []
+        for each in list(self._mains):
+            done.append((self._mains.pop(each), self._parts.pop(each, None)))
+            if each == stamp:
+                break
+        return done
+
 
 Cloud = TypeVar("Cloud")
 Other = TypeVar("Other")

@@ -8,8 +8,7 @@ from typing import Protocol
 from infomap_ros.errors import BagError
 from infomap_ros.localization.fiducials.range_view import DepthView, RangeView, StereoView
 from infomap_ros.localization.fiducials.sparse_stereo import SparseStereoConfig
-from infomap_ros.pipeline.image_synchronizer import ImageSet
-from infomap_ros.pipeline.pixels import intensity_pixels
+from infomap_ros.pipeline.image_synchronizer import ImageSet, intensity_pixels
 from infomap_ros.pipeline.range_estimator import (
     DepthRangeEstimator,
     PairRectifier,

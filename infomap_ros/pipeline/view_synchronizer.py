@@ -9,7 +9,7 @@ from typing import Generic, Protocol, TypeVar
 import numpy as np
 
 from infomap_ros.geometry import PlacedSolid, PoseRecord
-from infomap_ros.geometry.waiting_queue import WaitingQueue, WaitingQueueConfig
+from infomap_ros.geometry.records import WaitingQueue, WaitingQueueConfig
 from infomap_ros.localization.filter.motion_prior import RobotPosture
 from infomap_ros.pipeline.clock_jumps import CLOCK_JUMP
 from infomap_ros.pipeline.scan_synchronizer import CLOCK_JUMPED

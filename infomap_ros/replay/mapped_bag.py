@@ -1,4 +1,7 @@
-"""A bag or a folder of images as a map, or as a trajectory, in one call."""
+"""A bag or a folder of images as a map, or as a trajectory, in one call.
+
+A recording that somebody has: a bag, or a folder of images.
+"""
 
 from __future__ import annotations
 
@@ -12,17 +15,41 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from infomap_ros.errors import BagError
 from infomap_ros.exploration.reports.report import write_map_report
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.mapping.files.pictures import draw_map_views
-from infomap_ros.replay.localizing.localize_inputs import LocalizeOptions
-from infomap_ros.replay.localizing.localize_run import LocalizeRun
-from infomap_ros.replay.localizing.trajectory import Trajectory
+from infomap_ros.replay.bags.reader import BagReader, Recording
+from infomap_ros.replay.localizing.localize_run import LocalizeOptions, LocalizeRun, Trajectory
 from infomap_ros.replay.mapping.map_files import PAGE_FILE, write_map_files
 from infomap_ros.replay.mapping.map_inputs import MapOptions
 from infomap_ros.replay.mapping.map_run import MapRun
-from infomap_ros.replay.recording import open_recording
+from infomap_ros.replay.sequences import SequenceOptions, SequenceReader, find_sequence
+
+__all__ = ["Recording", "open_recording"]
+
+_BAG_FILES = ("*.mcap", "*.db3", "metadata.yaml", "*.mcap.zstd", "*.db3.zstd")
+
+
+def open_recording(path: Path | str, calibration: Sequence[Path] = ()) -> Recording:
+    """Open a bag, or a folder of images in one of the layouts of `infomap_ros.replay.sequences`.
+
+    Args:
+        path: rosbag2 folder or file, ROS 1 bag, or folder of images.
+        calibration: files with the calibration of the images; looked for in the folder where
+            none is given. Not for bags, which hold their own.
+
+    Raises:
+        BagError: there is nothing, or it cannot be read; says what is there.
+    """
+    path = Path(path)
+    is_folder = path.is_dir() and not any(list(path.glob(name)) for name in _BAG_FILES)
+    if is_folder:
+        return SequenceReader(path, find_sequence(path, SequenceOptions(calibration=calibration)))
+    if calibration:
+        raise BagError(f"{path} is a bag: the calibration is in its camera infos")
+    return BagReader(path)
 
 
 @dataclass(frozen=True, eq=False)

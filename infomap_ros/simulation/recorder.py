@@ -31,7 +31,6 @@ from infomap_ros.geometry.resources import find_share
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.replay.bags.writer import BagWriter
 from infomap_ros.simulation.body.chassis import Chassis
-from infomap_ros.simulation.body.odometry import Odometry, OdometryConfig
 from infomap_ros.simulation.body.robot import (
     LEFT_OPTICAL_FRAME,
     RIGHT_OPTICAL_FRAME,
@@ -40,9 +39,14 @@ from infomap_ros.simulation.body.robot import (
     read_description,
     stereo_baseline,
 )
-from infomap_ros.simulation.cameras.image_sensor import ImageSensor, ImageSensorConfig
+from infomap_ros.simulation.body.wheel_odometry import Odometry, OdometryConfig
 from infomap_ros.simulation.cameras.rendering import Renderer
-from infomap_ros.simulation.cameras.stereo_camera import StereoCamera, StereoCameraConfig
+from infomap_ros.simulation.cameras.stereo_camera import (
+    ImageSensor,
+    ImageSensorConfig,
+    StereoCamera,
+    StereoCameraConfig,
+)
 from infomap_ros.simulation.worlds.builder import World
 from infomap_ros.simulation.worlds.scenes import SceneConfig, build_scene, describe_scene
 

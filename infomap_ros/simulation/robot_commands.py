@@ -6,7 +6,7 @@ from infomap_ros.errors import FrameError, InvalidInputError, PoseUnavailableErr
 from infomap_ros.geometry import PoseRecord, invert_transform
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.messages.commands import ArmTrajectoryCommand, BasePathCommand
-from infomap_ros.simulation.body.controller_rules import why_refused
+from infomap_ros.simulation.body.arm_motion import why_refused
 from infomap_ros.simulation.simulator import Simulator
 
 _KEPT = 400  # places of the camera in odom, by stamp

@@ -24,8 +24,7 @@ from infomap_ros.simulation.body.robot_body import PREFIX, RobotBody
 from infomap_ros.simulation.body.robot_sensors import RobotSensors
 from infomap_ros.simulation.body.robot_setup import RobotSetupConfig
 from infomap_ros.simulation.body.saved_robot import SavedRobot
-from infomap_ros.simulation.cameras.depth_eye import DepthEye, DepthImage
-from infomap_ros.simulation.cameras.eyes import Eyes, StereoPair
+from infomap_ros.simulation.cameras.eyes import DepthEye, DepthImage, Eyes, StereoPair
 from infomap_ros.simulation.robots.ready_robot import ready_robot
 from infomap_ros.simulation.simulator_config import SimulatorConfig
 from infomap_ros.simulation.worlds.builder import World

@@ -13,9 +13,8 @@ from infomap_ros.simulation.body.drive_train import DriveTrainConfig
 from infomap_ros.simulation.body.dynamics import DynamicsConfig
 from infomap_ros.simulation.body.robot_setup import RobotSetupConfig
 from infomap_ros.simulation.body.wheel_odometry import WheelOdometryConfig
-from infomap_ros.simulation.cameras.depth_eye import DepthEyeConfig
-from infomap_ros.simulation.cameras.image_sensor import ImageSensorConfig
-from infomap_ros.simulation.cameras.stereo_camera import StereoCameraConfig
+from infomap_ros.simulation.cameras.eyes import DepthEyeConfig
+from infomap_ros.simulation.cameras.stereo_camera import ImageSensorConfig, StereoCameraConfig
 
 
 @dataclass(frozen=True)

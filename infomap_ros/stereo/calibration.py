@@ -23,10 +23,10 @@ from infomap_ros.stereo.config import StereoConfig
 from infomap_ros.stereo.evaluation import (
     GAUSSIAN_SHARES,
     PairErrors,
+    StereoPair,
     measure_errors,
     shares_within,
 )
-from infomap_ros.stereo.ground_truth import StereoPair
 from infomap_ros.stereo.noise import MatchTerms, sigma_from_terms
 
 _BINS = 8

@@ -26,10 +26,8 @@ from numpy.typing import ArrayLike, NDArray
 from infomap_ros.errors import ConfigError, InvalidInputError
 from infomap_ros.geometry import PinholeCamera
 from infomap_ros.geometry.config import check_config, parameter, setting
-from infomap_ros.stereo.assembly import assemble
-from infomap_ros.stereo.bands import RowBands
-from infomap_ros.stereo.images import check_image, check_size
-from infomap_ros.stereo.range_cloud import RangeCloud, mark_correlation
+from infomap_ros.stereo.images import RowBands, check_image, check_size
+from infomap_ros.stereo.range_cloud import RangeCloud, assemble, mark_correlation
 
 _MILLIMETER = np.float32(1e-3)
 _BEYOND = np.float32(2000.0)  # depth of what has no return [m]: twice the largest range of a map

@@ -29,8 +29,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from infomap_ros.geometry import StereoRig
-from infomap_ros.stereo.bands import RowBands
 from infomap_ros.stereo.config import StereoConfig
+from infomap_ros.stereo.images import RowBands
 from infomap_ros.stereo.quality import MatchQuality
 
 # Added to the squared residual, gradient and curvature so that the power law stays finite:

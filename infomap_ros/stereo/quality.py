@@ -16,8 +16,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from infomap_ros.geometry.kernel import kernel
-from infomap_ros.stereo.bands import RowBands
 from infomap_ros.stereo.config import StereoConfig
+from infomap_ros.stereo.images import RowBands
 from infomap_ros.stereo.matching import SUBPIXELS
 
 # Keeps the step small where the gradient is at the level of image noise [gray levels^2].

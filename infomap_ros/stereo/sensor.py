@@ -11,14 +11,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from infomap_ros.geometry import StereoRig
 from infomap_ros.geometry.kernel import kernel
-from infomap_ros.stereo.assembly import assemble, assemble_printed
-from infomap_ros.stereo.bands import RowBands
 from infomap_ros.stereo.config import StereoConfig
-from infomap_ros.stereo.images import check_image, gray
+from infomap_ros.stereo.images import RowBands, check_image, gray
 from infomap_ros.stereo.matching import SUBPIXELS, DisparityMatcher, DisparityRange, disparity_range
 from infomap_ros.stereo.noise import StereoRange, range_from_disparity, sigma_from_quality
 from infomap_ros.stereo.quality import MatchQuality, is_determined, refine
-from infomap_ros.stereo.range_cloud import RangeCloud, mark_correlation
+from infomap_ros.stereo.range_cloud import RangeCloud, assemble, assemble_printed, mark_correlation
 
 _SUPPORT = (9, 9)  # [px]
 

@@ -26,9 +26,14 @@ from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.mapping.correction.correctable_map import CorrectableMap
-from infomap_ros.studies.analytic_scene import AnalyticScene, random_scene
-from infomap_ros.studies.common.tables import markdown
-from infomap_ros.studies.noisy_scans import CAMERA, NoisyScan, simulate_scans
+from infomap_ros.studies.common.runs import markdown
+from infomap_ros.studies.noisy_scans import (
+    CAMERA,
+    AnalyticScene,
+    NoisyScan,
+    random_scene,
+    simulate_scans,
+)
 from infomap_ros.studies.scan_sequences import CAMERA as SEQUENCE_CAMERA
 from infomap_ros.studies.scan_sequences import CASES, ScanSequence, simulate_sequence
 

@@ -6,16 +6,21 @@ T. Kirubarajan, "Estimation with Applications to Tracking and Navigation", Wiley
 5.4.2. In two more scenarios half of the fiducials in view begin to move as one body.
 
     infomap study pose-consistency --runs 100 --out DIR
+
+The figure of the study of pose consistency.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
-from scipy import special
+from scipy import special, stats
 from scipy.spatial.transform import Rotation
 
 from infomap_ros.geometry import (
@@ -28,11 +33,11 @@ from infomap_ros.geometry import (
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.localization.fiducials.observations import FiducialObservations
+from infomap_ros.localization.filter.config import FilterUpdate
 from infomap_ros.localization.filter.fiducial_filter import FiducialFilter
 from infomap_ros.localization.filter.free_motion import free_motion
 from infomap_ros.localization.filter.motion_prior import MotionPrior
-from infomap_ros.localization.filter.records import FilterUpdate
-from infomap_ros.studies.common.tables import markdown
+from infomap_ros.studies.common.runs import markdown
 
 CONFIDENCE = 0.95
 _WRONG = 0.9999  # probability beyond which an error is not explained by the covariance
@@ -365,3 +370,36 @@ def pose_error(true: FloatArray, estimated: FloatArray) -> FloatArray:
     """(dt, rotation vector) of docs/conventions.md, shape (6,)."""
     turned = Rotation.from_matrix(true[:3, :3] @ estimated[:3, :3].T).as_rotvec()
     return np.concatenate([true[:3, 3] - estimated[:3, 3], turned])
+
+
+_COLORS = ("#08519c", "#009e73", "#d55e00")
+
+
+def draw_nees(results: Sequence[ScenarioResult], path: str | Path) -> None:
+    """Draw the distribution of the poses' NEES beside the chi-square one that it should be.
+
+    Args:
+        results: of `run_pose_consistency`; those with a moving body are left out.
+        path: of the PNG file.
+    """
+    shown = [result for result in results if result.scenario.speed == 0.0]
+    figure = Figure(figsize=(4.2 * len(shown), 3.4), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots(1, len(shown), sharey=True, squeeze=False)[0]
+    x = np.linspace(0.0, 25.0, 300)
+    for axis, result in zip(axes, shown, strict=True):
+        curves = (
+            ("half way", result.halfway), ("last", result.last), ("kept", result.kept)
+        )  # fmt: skip
+        for (name, values), color in zip(curves, _COLORS, strict=True):
+            ordered = np.sort(values)
+            share = np.arange(1, len(ordered) + 1) / len(ordered)
+            axis.step(ordered, share, where="post", color=color, label=f"{name} pose")
+        axis.plot(x, stats.chi2.cdf(x, 6), "k--", linewidth=1.0, label="chi-square, 6 d.o.f.")
+        axis.set_xlim(0.0, 25.0)
+        axis.set_title(result.scenario.name, fontsize=10)
+        axis.set_xlabel("NEES [-]")
+        axis.grid(True, linewidth=0.3)
+    axes[0].set_ylabel("share of runs below [-]")
+    axes[0].legend(fontsize=8, loc="lower right")
+    figure.savefig(path, dpi=120)

@@ -23,13 +23,14 @@ from infomap_ros.geometry import (
     skew,
 )
 from infomap_ros.geometry.transforms import FloatArray, perturb_transform
-from infomap_ros.studies.analytic_scene import AnalyticScene, random_view
 from infomap_ros.studies.noisy_scans import (
+    AnalyticScene,
     NoisyScan,
     RangeNoise,
     depth_of,
     misplaced,
     random_pose_covariance,
+    random_view,
 )
 
 CASES = ("standing", "drift", "offset", "corrected")

@@ -3,20 +3,179 @@
 How far a robot had come is known for longer than where it stood: whoever repeats its old words
 after it has fallen silent is not heard. A robot whose clock went back is told so by its teammates
 (`AgentBoard.past`) and goes on after what they know.
+
+What a robot tells of itself, as a text: one JSON object, and the team's code behind it.
+
+The object is the first line. Where the team has a key, a second line holds the message's code
+(`team.authentication`); who has no key does not look at it.
 """
 
 from __future__ import annotations
 
+import json
 import math
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
+from typing import Any, NoReturn
 
-from infomap_ros.team.agent_text import agent_from_text
-from infomap_ros.team.agents import Agent
-from infomap_ros.team.agents_config import AgentBoardConfig
-from infomap_ros.team.authentication import TeamKey
-from infomap_ros.team.membership import Membership
+import numpy as np
+
+from infomap_ros.errors import CalibrationError, InvalidInputError, UpdateRefusedError
+from infomap_ros.geometry import (
+    PinholeCamera,
+    quaternion_from_transform,
+    transform_from_quaternion,
+)
+from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.team.agents import Agent, AgentBoardConfig
+from infomap_ros.team.membership import NOT_AUTHENTIC, Membership, TeamKey
 from infomap_ros.team.own_version import MOST_FOLLOWED
-from infomap_ros.team.versions import is_newer, versions_ahead
+from infomap_ros.team.update import is_newer, versions_ahead
+
+_FORMAT = 1
+_LONGEST = 65_536
+_WHOLE = ("robot", "session", "version", "stamp", "since", "claim")
+_REAL = ("max_range", "radius", "bottom", "top")
+_TEXT = ("state", "description", "description_hash", "base_frame")
+_LENS = ("width", "height", "fx", "fy", "cx", "cy")
+_NAMES = frozenset(
+    {"infomap_agent", "base", "camera", "goal", "covariance", "lens", "way", "joints", "heard"}
+    | {*_WHOLE, *_REAL, *_TEXT}
+)
+
+
+def agent_to_text(agent: Agent, key: TeamKey | None = None) -> str:
+    """What a robot tells of itself, signed if there is a key."""
+    covariance = agent.covariance
+    upper = None if covariance is None else covariance[np.triu_indices(6)].tolist()
+    content: dict[str, Any] = {
+        "infomap_agent": _FORMAT,
+        **{name: int(getattr(agent, name)) for name in _WHOLE},
+        **{name: float(getattr(agent, name)) for name in _REAL},
+        **{name: getattr(agent, name) for name in _TEXT},
+        "base": _numbers(agent.T_map_base),
+        "camera": _numbers(agent.T_map_camera),
+        "goal": None if agent.goal is None else _numbers(agent.goal),
+        "covariance": upper,
+        "lens": [getattr(agent.camera, name) for name in _LENS],
+        "way": np.round(agent.way, 4).tolist(),
+        "joints": {name: float(value) for name, value in agent.joints.items()},
+        "heard": {str(robot): int(claim) for robot, claim in agent.heard.items()},
+    }
+    text = json.dumps(content, separators=(",", ":"), allow_nan=False)
+    return text if key is None else f"{text}\n{key.code_of_text(text)}"
+
+
+def agent_from_text(text: str, key: TeamKey | None = None) -> Agent:
+    """Read what `agent_to_text` wrote.
+
+    Args:
+        text: as it was heard.
+        key: of the team; without one every message is taken for genuine.
+
+    Raises:
+        InvalidInputError: it is malformed, or says something impossible; names it.
+        UpdateRefusedError: there is a key, and the message was not signed with it.
+    """
+    if len(text) > _LONGEST:
+        raise InvalidInputError("agent", f"{len(text)} characters")
+    content, _, code = text.partition("\n")
+    if key is not None and not key.is_code_of_text(content, code):
+        raise UpdateRefusedError("what was told of a robot is not of this team", NOT_AUTHENTIC)
+    try:
+        told = json.loads(content, parse_constant=_no_constant)
+    except (ValueError, RecursionError) as error:
+        raise InvalidInputError("agent", f"is not JSON: {error}") from error
+    if not isinstance(told, dict) or told.get("infomap_agent") != _FORMAT:
+        raise InvalidInputError("agent", f"is not an object of format {_FORMAT}")
+    if missing := _NAMES - told.keys():
+        raise InvalidInputError("agent", f"lacks {', '.join(sorted(missing))}")
+    try:
+        return _read(told)
+    except (TypeError, ValueError, KeyError, OverflowError, CalibrationError) as error:
+        raise InvalidInputError("agent", str(error)) from error
+
+
+def _read(told: Mapping[str, Any]) -> Agent:
+    plain: dict[str, Any] = {
+        **{name: _whole(told[name], name) for name in _WHOLE},
+        **{name: _real(told[name], name) for name in _REAL},
+        **{name: _word(told[name], name) for name in _TEXT},
+    }
+    heard = _object(told["heard"], "heard")
+    return Agent(
+        **plain,
+        T_map_base=_pose(told["base"], "base"),
+        T_map_camera=_pose(told["camera"], "camera"),
+        goal=None if told["goal"] is None else _pose(told["goal"], "goal"),
+        covariance=None if told["covariance"] is None else _covariance(told["covariance"]),
+        camera=_camera(told["lens"]),
+        way=np.array([_row(row, 3, "way") for row in _list(told["way"], "way")]).reshape(-1, 3),
+        joints={name: _real(q, name) for name, q in _object(told["joints"], "joints").items()},
+        heard={int(robot): _whole(claim, "heard") for robot, claim in heard.items()},
+    )
+
+
+def _numbers(transform: FloatArray) -> list[float]:
+    """x, y, z [m] and the quaternion x, y, z, w."""
+    return [*transform[:3, 3].tolist(), *quaternion_from_transform(transform).tolist()]
+
+
+def _pose(value: object, name: str) -> FloatArray:
+    row = _row(value, 7, name)
+    return transform_from_quaternion(row[3:], row[:3])
+
+
+def _covariance(value: object) -> FloatArray:
+    matrix = np.zeros((6, 6))
+    matrix[np.triu_indices(6)] = _row(value, 21, "covariance")
+    return np.asarray(matrix + np.triu(matrix, 1).T)
+
+
+def _camera(value: object) -> PinholeCamera:
+    width, height, fx, fy, cx, cy = _row(value, 6, "lens").tolist()
+    return PinholeCamera(int(width), int(height), fx, fy, cx, cy)
+
+
+def _row(value: object, count: int, name: str) -> FloatArray:
+    row = [_real(number, name) for number in _list(value, name)]
+    if len(row) != count:
+        raise InvalidInputError(f"agent {name}", f"{len(row)} numbers, expected {count}")
+    return np.array(row)
+
+
+def _list(value: object, name: str) -> list[Any]:
+    if not isinstance(value, list):
+        raise InvalidInputError(f"agent {name}", "is not a list")
+    return value
+
+
+def _object(value: object, name: str) -> dict[str, Any]:
+    if not isinstance(value, dict):
+        raise InvalidInputError(f"agent {name}", "is not an object")
+    return value
+
+
+def _whole(value: object, name: str) -> int:
+    if isinstance(value, bool) or not isinstance(value, int):
+        raise InvalidInputError(f"agent {name}", f"{value!r} is not a whole number")
+    return value
+
+
+def _real(value: object, name: str) -> float:
+    number = float(value) if isinstance(value, (int, float)) else np.nan
+    if isinstance(value, bool) or not np.isfinite(number):
+        raise InvalidInputError(f"agent {name}", f"{value!r} is not a finite number")
+    return number
+
+
+def _word(value: object, name: str) -> str:
+    if not isinstance(value, str):
+        raise InvalidInputError(f"agent {name}", "is not a text")
+    return value
+
+
+def _no_constant(name: str) -> NoReturn:
+    raise ValueError(f"{name} is not a number")
 
 
 class AgentBoard:

@@ -7,6 +7,8 @@ about to see, and cut its body from their scans.
 A goal is claimed: claims are numbered by versions, and each says which claims of the others were
 known when it was made. Of two claims that were made without knowledge of each other, that of the
 smaller id holds; no clocks are compared.
+
+How robots hear of each other: the parameters.
 """
 
 from __future__ import annotations
@@ -20,9 +22,9 @@ from numpy.typing import NDArray
 
 from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry import PinholeCamera, check_covariance, check_transform
+from infomap_ros.geometry.config import check_config, setting
 from infomap_ros.geometry.transforms import FloatArray, float_array
-from infomap_ros.team.update import MAX_ROBOT, MAX_SESSION, MAX_VERSION
-from infomap_ros.team.versions import is_newer
+from infomap_ros.team.update import MAX_ROBOT, MAX_SESSION, MAX_VERSION, is_newer
 
 _MOST_WAYPOINTS, _MOST_JOINTS, _MOST_KNOWN = 200, 200, 1024
 _LONGEST_STATE, _LONGEST_NAME = 80, 255
@@ -181,3 +183,77 @@ def _checked_pose(pose: FloatArray, name: str) -> FloatArray:
     if not (np.abs(checked[:3, 3]) <= _FARTHEST).all():
         raise InvalidInputError(f"agent {name}", f"is at {checked[:3, 3].tolist()} m")
     return checked
+
+
+@dataclass(frozen=True)
+class AgentBoardConfig:
+    """For how long what a teammate has told counts.
+
+    Raises:
+        ConfigError: a value is out of its range.
+    """
+
+    silence: float = setting(
+        5.0,
+        "What a teammate was heading for no longer counts when it was not heard for so long.",
+        unit="s",
+        low=0.1,
+        high=3600.0,
+    )
+    memory: float = setting(
+        60.0,
+        "Its body still counts for so long; then it is part of the scene, if it stands there.",
+        unit="s",
+        low=0.1,
+        high=86400.0,
+    )
+
+    def __post_init__(self) -> None:
+        check_config(self)
+
+
+@dataclass(frozen=True)
+class AgentsConfig(AgentBoardConfig):
+    """How a robot tells of itself, and what it makes of what the others tell.
+
+    Raises:
+        ConfigError: a value is out of its range.
+    """
+
+    period: float = setting(
+        0.2,
+        "Time between two messages about this robot, in time of the data.",
+        unit="s",
+        low=0.01,
+        high=60.0,
+    )
+    settling: float = setting(
+        0.3,
+        "After a goal is claimed, time in which claims that teammates made at the same moment are "
+        "waited for: longer than a message takes.",
+        unit="s",
+        low=0.0,
+        high=60.0,
+    )
+    idle_timeout: float = setting(
+        120.0,
+        "Where teammates leave no view that is worth its cost, this robot waits as long as they go "
+        "from view to view, and so long after that; then it has nothing left to do.",
+        unit="s",
+        low=0.0,
+        high=3600.0,
+    )
+    goal_time: float = setting(
+        300.0,
+        "A goal that was claimed longer ago is given up, in time of the data.",
+        unit="s",
+        low=1.0,
+        high=86400.0,
+    )
+    clearance: float = setting(
+        0.3,
+        "Distance that is kept between the bodies, and to the places where teammates are going.",
+        unit="m",
+        low=0.0,
+        high=10.0,
+    )

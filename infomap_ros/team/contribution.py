@@ -13,21 +13,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from infomap_ros.mapping import NOT_OBSERVED
-from infomap_ros.mapping.voxels.blocks import BLOCK_BYTES as KEY_BYTES
-from infomap_ros.mapping.voxels.blocks import BLOCK_COUNT, BlockArrays, empty_blocks, grown
-from infomap_ros.mapping.voxels.blocks import with_room as with_block_room
-from infomap_ros.mapping.voxels.keys import BLOCK_BITS, BLOCK_SIDE, BLOCK_VOXELS, pack_all
-from infomap_ros.mapping.voxels.voxel_states import count_block_changes
+from infomap_ros.mapping.voxels.keys import (
+    BLOCK_BITS,
+    BLOCK_COUNT,
+    BLOCK_SIDE,
+    BLOCK_VOXELS,
+    BlockArrays,
+    empty_blocks,
+    grown,
+    pack_all,
+)
+from infomap_ros.mapping.voxels.keys import BLOCK_BYTES as KEY_BYTES
+from infomap_ros.mapping.voxels.keys import with_room as with_block_room
+from infomap_ros.mapping.voxels.state import count_block_changes
 from infomap_ros.team import contribution_kernels as kernels
-from infomap_ros.team.code_table import (
+from infomap_ros.team.gaussian_code import (
     CodeTable,
+    code_tables,
     empty_codes,
     with_code_room,
     with_table_room,
 )
-from infomap_ros.team.gaussian_code import code_tables
-from infomap_ros.team.update import MapUpdate
-from infomap_ros.team.versions import is_newer
+from infomap_ros.team.update import MapUpdate, is_newer
 
 BLOCK_BYTES = 5 * BLOCK_VOXELS + 12
 """Memory of a block's states and versions [bytes]."""

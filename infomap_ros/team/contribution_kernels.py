@@ -9,18 +9,17 @@ import numpy as np
 from infomap_ros.geometry.kernel import kernel
 from infomap_ros.mapping.config import NOT_OBSERVED
 from infomap_ros.mapping.voxels.block_kernels import find_block, find_or_add_block
-from infomap_ros.mapping.voxels.blocks import BLOCK_COUNT
 from infomap_ros.mapping.voxels.keys import (
     BLOCK_BITS,
+    BLOCK_COUNT,
     BLOCK_SIDE,
     BLOCK_VOXELS,
     local_index,
     pack,
     unpack,
 )
-from infomap_ros.team.code_table import code_row, find_row
-from infomap_ros.team.gaussian_code import information_of_code
-from infomap_ros.team.versions import is_newer
+from infomap_ros.team.gaussian_code import code_row, find_row, information_of_code
+from infomap_ros.team.update import is_newer
 
 _ZERO = np.uint64(0)
 

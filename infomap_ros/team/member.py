@@ -15,33 +15,29 @@ from numpy.typing import NDArray
 
 from infomap_ros.mapping import NOT_OBSERVED, VoxelMap, VoxelMapConfig
 from infomap_ros.mapping.voxels.block_kernels import find_block
-from infomap_ros.mapping.voxels.blocks import BLOCK_COUNT
-from infomap_ros.mapping.voxels.keys import BLOCK_BITS, local_index, pack
-from infomap_ros.mapping.voxels.storage import Growth
-from infomap_ros.mapping.voxels.voxel_states import (
+from infomap_ros.mapping.voxels.keys import BLOCK_BITS, BLOCK_COUNT, local_index, pack
+from infomap_ros.mapping.voxels.state import (
     VoxelStates,
     count_block_changes,
     put_states,
 )
+from infomap_ros.mapping.voxels.storage import Growth
 from infomap_ros.team.agreement import Agreement, compare
-from infomap_ros.team.authentication import TeamKey
-from infomap_ros.team.config import TeamConfig
-from infomap_ros.team.contribution import BLOCK_BYTES
-from infomap_ros.team.digest import Summary, decode_digest, decode_request
-from infomap_ros.team.freshness import Freshness
-from infomap_ros.team.gaussian_code import information_of_codes
-from infomap_ros.team.limits import (
+from infomap_ros.team.config import (
     MOST_BLOCKS_TAKEN_BACK,
     MOST_RECOVERED,
     ROOM_PERIOD,
     TAKEN_BACK_SHARE,
+    TeamConfig,
 )
-from infomap_ros.team.membership import Membership
+from infomap_ros.team.contribution import BLOCK_BYTES
+from infomap_ros.team.digest import Freshness, Summary, decode_digest, decode_request
+from infomap_ros.team.gaussian_code import information_of_codes
+from infomap_ros.team.membership import Membership, TeamKey
 from infomap_ros.team.outbox import Outbox
 from infomap_ros.team.reconciler import Reconciler
 from infomap_ros.team.replica import MapReplica
-from infomap_ros.team.sent import message_bytes
-from infomap_ros.team.update import MapUpdate
+from infomap_ros.team.update import MapUpdate, message_bytes
 from infomap_ros.team.wire import decode_update
 
 Rows = NDArray[np.void]

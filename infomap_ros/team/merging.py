@@ -32,22 +32,29 @@ from infomap_ros.mapping.voxels.block_kernels import (
     make_room,
     quanta_at,
 )
-from infomap_ros.mapping.voxels.blocks import (
+from infomap_ros.mapping.voxels.changes import put_offset
+from infomap_ros.mapping.voxels.keys import (
     BLOCK_COUNT,
+    BLOCK_SIDE,
+    BLOCK_VOXELS,
     NARROW_COUNT,
     UNIFORM,
     UNSEEN,
     WIDE_COUNT,
+    unpack,
     with_room,
 )
-from infomap_ros.mapping.voxels.changes import put_offset
-from infomap_ros.mapping.voxels.gaussians import INFORMATION_SIZE, gaussian_of
-from infomap_ros.mapping.voxels.keys import BLOCK_SIDE, BLOCK_VOXELS, unpack
-from infomap_ros.mapping.voxels.state import MEMORY_ARRAY
+from infomap_ros.mapping.voxels.state import MEMORY_ARRAY, information_of
 from infomap_ros.mapping.voxels.storage import Growth, MapStorage
 from infomap_ros.mapping.voxels.surface import records_of, with_records
-from infomap_ros.mapping.voxels.surface_kernels import COMMON, EXCESS, SIDES, inflation
-from infomap_ros.mapping.voxels.voxel_states import information_of
+from infomap_ros.mapping.voxels.surface_kernels import (
+    COMMON,
+    EXCESS,
+    INFORMATION_SIZE,
+    SIDES,
+    gaussian_of,
+    inflation,
+)
 from infomap_ros.team.agreement import Agreement, compare_maps
 
 _PER_BLOCK = SIDES * BLOCK_VOXELS  # records

@@ -16,16 +16,14 @@ from numpy.typing import NDArray
 from infomap_ros.errors import CapacityError
 from infomap_ros.mapping import NOT_OBSERVED, VoxelMap
 from infomap_ros.mapping.voxels.changes import changed_blocks, take_changes
-from infomap_ros.mapping.voxels.voxel_states import count_block_changes
+from infomap_ros.mapping.voxels.state import count_block_changes
 from infomap_ros.team.config import Budget, TeamConfig
 from infomap_ros.team.contribution import Contribution
 from infomap_ros.team.contribution_kernels import list_blocks
 from infomap_ros.team.own_version import OwnVersion
 from infomap_ros.team.priority import ChangePriority, priority_of_changes, priority_of_states
 from infomap_ros.team.replica import MapReplica
-from infomap_ros.team.sent import SentMessages, message_bytes
-from infomap_ros.team.update import MAX_SERIAL, MapUpdate
-from infomap_ros.team.versions import next_version
+from infomap_ros.team.update import MAX_SERIAL, MapUpdate, SentMessages, message_bytes, next_version
 from infomap_ros.team.wire import encode_update
 
 _WAIT = 0.5  # [s] after which what waits counts four times, after twice that nine times

@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 
 from infomap_ros.team.membership import MOST_AHEAD
-from infomap_ros.team.versions import CLOCK_RATE, COUNT, is_newer, next_version, versions_ahead
+from infomap_ros.team.update import CLOCK_RATE, COUNT, is_newer, next_version, versions_ahead
 
 MOST_FOLLOWED = MOST_AHEAD // 2
 """Versions beyond the first told one that a robot follows; others may have missed that one."""

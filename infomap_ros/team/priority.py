@@ -12,13 +12,16 @@ from infomap_ros.geometry.kernel import inlined_kernel, kernel
 from infomap_ros.geometry.pose_uncertainty import point_covariances
 from infomap_ros.mapping import LOG_ODDS_QUANTUM, NOT_OBSERVED, SHARED_LOG_ODDS_LIMIT, VoxelMap
 from infomap_ros.mapping.voxels.block_kernels import clipped, find_block, quanta_at
-from infomap_ros.mapping.voxels.gaussians import added, inverse_symmetric
 from infomap_ros.mapping.voxels.keys import BLOCK_SIDE, BLOCK_VOXELS
-from infomap_ros.mapping.voxels.surface_kernels import ROW_SIZE, read_information
-from infomap_ros.team.code_table import find_row
+from infomap_ros.mapping.voxels.surface_kernels import (
+    ROW_SIZE,
+    added,
+    inverse_symmetric,
+    read_information,
+)
 from infomap_ros.team.contribution import Contribution
 from infomap_ros.team.contribution_kernels import unpack_keys
-from infomap_ros.team.gaussian_code import code_tables
+from infomap_ros.team.gaussian_code import code_tables, find_row
 
 _LIMIT = SHARED_LOG_ODDS_LIMIT
 _MOST_BITS = 40.0  # of one surface point

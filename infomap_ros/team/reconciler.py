@@ -19,15 +19,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from infomap_ros.errors import UpdateRefusedError
-from infomap_ros.team.config import Budget, TeamConfig
+from infomap_ros.team.config import MOST_ROBOTS, MOST_WANTED, TALK_SHARE, Budget, TeamConfig
 from infomap_ros.team.contribution import Cells, Contribution, Corners
-from infomap_ros.team.digest import CELL_ROW, SUMMARY_ROW, CellDigest, Request, Summary
-from infomap_ros.team.freshness import REPEATED
-from infomap_ros.team.limits import MOST_ROBOTS, MOST_WANTED, TALK_SHARE
-from infomap_ros.team.missed import Missed
+from infomap_ros.team.digest import (
+    CELL_ROW,
+    REPEATED,
+    SUMMARY_ROW,
+    CellDigest,
+    Missed,
+    Request,
+    Summary,
+)
 from infomap_ros.team.outbox import Outbox
 from infomap_ros.team.replica import MapReplica
-from infomap_ros.team.sent import message_bytes
+from infomap_ros.team.update import message_bytes
 
 _WINDOW = 2000  # messages; a larger gap is a robot that has started again, or a long silence
 

@@ -1,11 +1,24 @@
-"""What a robot tells of its contribution: states of voxels, already in the codes of the wire."""
+"""What a robot tells of its contribution: states of voxels, already in the codes of the wire.
+
+The messages that a robot told lately, so that those which got lost can be told again.
+
+Versions of what a robot publishes: numbers of 32 bits that begin again at 1 after the last.
+
+Of two versions the newer one is that which follows the other by less than half the numbers there
+are, as for serial numbers in RFC 1982 (https://doi.org/10.17487/RFC1982). 0 is no version: it
+stands for "nothing heard yet". A robot takes its first version from the clock, so that what it
+says after a restart is newer than what it said before.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from infomap_ros.errors import InvalidInputError
@@ -13,6 +26,7 @@ from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import NOT_OBSERVED, SHARED_LOG_ODDS_LIMIT, VoxelChanges
 from infomap_ros.mapping.voxels.keys import BLOCK_BITS, COORDINATE_LIMIT, pack_all
 from infomap_ros.team.gaussian_code import decode_gaussians, encode_gaussians
+from infomap_ros.team.message_header import with_header_values
 
 MAX_ROBOT, MAX_VERSION, MAX_SESSION = 2**16 - 1, 2**32 - 1, 2**32 - 1
 MAX_SERIAL = 2**31 - 1
@@ -146,3 +160,89 @@ class MapUpdate:
             raise InvalidInputError("map update", "version 0")
         if ((odds == NOT_OBSERVED) & self.has_gaussian).any():
             raise InvalidInputError("map update", "a voxel that is not observed has a surface")
+
+
+class SentMessages:
+    """Numbers messages and keeps the last ones.
+
+    Args:
+        serial: number of the message before the first.
+        room: for the messages that are kept [bytes].
+        request_timeout: for so long after a message was told again, it is on its way [s].
+    """
+
+    def __init__(self, serial: int, room: float, request_timeout: float) -> None:
+        self.serial = serial
+        self._room, self._held, self._request_timeout = room, 0, request_timeout
+        self._told_again: dict[int, float] = {}
+        self._messages: dict[int, NDArray[np.void]] = {}
+        self._asked: set[int] = set()
+
+    def number(self, rows: NDArray[np.void]) -> NDArray[np.void]:
+        """The message with its number."""
+        self.serial = (self.serial + 1) % MAX_SERIAL
+        rows = with_header_values(rows, {"serial": self.serial})
+        self._messages[self.serial] = rows
+        self._held += rows.nbytes
+        while self._held > self._room and len(self._messages) > 1:
+            oldest = next(iter(self._messages))
+            self._held -= self._messages.pop(oldest).nbytes
+            self._told_again.pop(oldest, None)
+        return rows
+
+    def ask(self, serials: Iterable[int], now: float) -> None:
+        """Have messages told again, as far as they are kept and not on their way."""
+        for serial in serials:
+            since = now - self._told_again.get(serial, -np.inf)
+            if serial in self._messages and since >= self._request_timeout:
+                self._asked.add(serial)
+
+    def resend(self, room: float, now: float) -> list[NDArray[np.void]]:
+        """Messages to be told again, oldest first, as many as fit [bytes].
+
+        What was told again before and is still missed is told twice.
+        """
+        chosen: list[NDArray[np.void]] = []
+        for serial in [number for number in self._messages if number in self._asked]:
+            copies = [self._messages[serial]] * (2 if serial in self._told_again else 1)
+            room -= sum(map(message_bytes, copies))
+            if room < 0.0 and chosen:
+                return chosen
+            self._asked.remove(serial)
+            self._told_again[serial] = now
+            chosen += copies
+        self._asked.clear()
+        return chosen
+
+
+def message_bytes(rows: NDArray[np.void]) -> int:
+    """Bytes of the message that holds these rows, about."""
+    return int(rows.nbytes) + 80 + sum(24 + len(name) for name in rows.dtype.names or ())
+
+
+COUNT = 2**32
+CLOCK_RATE = 32
+"""Versions per second of the clock; a robot that publishes less often stays behind the clock."""
+
+
+def version_at(nanoseconds: int) -> int:
+    """The version that belongs to a time since the epoch [ns]; it begins again after 4 years."""
+    ticks = nanoseconds * CLOCK_RATE // 1_000_000_000
+    return ticks % (COUNT - 1) + 1
+
+
+def next_version(version: int) -> int:
+    """The version after this one."""
+    return version % (COUNT - 1) + 1
+
+
+def versions_ahead(version: Any, other: int) -> Any:
+    """By how many versions one follows another, or several; negative where they precede it."""
+    return (version - other + COUNT // 2) % COUNT - COUNT // 2
+
+
+@njit(cache=True, nogil=True)
+def is_newer(version: Any, other: Any) -> bool:
+    """Whether one version, uint32, is newer than another; every version is newer than none (0)."""
+    ahead = (np.int64(version) - np.int64(other)) & 0xFFFFFFFF
+    return bool(other == 0 or 0 < ahead < 0x80000000)

@@ -1,7 +1,7 @@
 """The wire format of map updates: packed rows with named fields, for point clouds.
 
 A row holds absolute states of voxels in their robot's contribution, never differences, with the
-version at which they were taken (`infomap_ros.team.versions`). So a message may be lost, repeated
+version at which they were taken (`infomap_ros.team.update`). So a message may be lost, repeated
 or come late: whoever keeps the newest version per robot and voxel is right. A robot takes a voxel
 back by the log-odds `NOT_OBSERVED`.
 
@@ -34,13 +34,13 @@ from infomap_ros.team.message_header import (
     whole_number,
     without_header,
 )
-from infomap_ros.team.sent import message_bytes
 from infomap_ros.team.update import (
     MAX_ROBOT,
     MAX_SERIAL,
     MAX_SESSION,
     MAX_VERSION,
     MapUpdate,
+    message_bytes,
 )
 
 TILE_SHIFT, RUN_SHIFT = 8, 3

@@ -7,7 +7,8 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from infomap_ros.exploration.records.log_records import (
+from infomap_ros.exploration.records.recorded_run import parse_record
+from infomap_ros.exploration.records.run_log import (
     Candidate,
     Decision,
     End,
@@ -17,15 +18,14 @@ from infomap_ros.exploration.records.log_records import (
     Start,
     rating_text,
 )
-from infomap_ros.exploration.records.recorded_run import parse_record
 from infomap_ros.exploration.reports.report_page.scene import BASE_ACTIONS, COLOR_MAPS
 from infomap_ros.exploration.robot import RobotState
 from infomap_ros.geometry import PinholeCamera
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.motion.robot.robot_model import RobotModel
-from infomap_ros.viewer.colors import REJECTED, colored
 from infomap_ros.viewer.live_page import LivePage
 from infomap_ros.viewer.run_panel import map_figures
+from infomap_ros.viewer.shapes import REJECTED, colored
 from infomap_ros.viewer.views_layer import ConsideredView
 
 

@@ -19,12 +19,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from infomap_ros.errors import ConfigError, InfomapError, MissingExtraError
-from infomap_ros.exploration.reports.report_page.scene import COLOR_MAPS, scene_of
-from infomap_ros.exploration.reports.report_page.surface import (
+from infomap_ros.exploration.reports.report_page.scene import (
+    COLOR_MAPS,
     LOG_ODDS_RANGE,
     SIGMA_RANGE,
     DrawnSurface,
     drawn_surface,
+    scene_of,
 )
 from infomap_ros.geometry import PinholeCamera
 from infomap_ros.geometry.config import check_config, parameter
@@ -32,10 +33,18 @@ from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.motion.robot.robot_model import RobotModel
 from infomap_ros.team.agents import Agent
-from infomap_ros.viewer.colors import CAMERA_WAY, ROBOT, TEAM, colored, gradient
-from infomap_ros.viewer.interest_box import InterestBox, InterestControls
-from infomap_ros.viewer.run_panel import RunPanel
-from infomap_ros.viewer.shapes import draw_solid, draw_way, frustum, place
+from infomap_ros.viewer.run_panel import InterestBox, InterestControls, RunPanel
+from infomap_ros.viewer.shapes import (
+    CAMERA_WAY,
+    ROBOT,
+    TEAM,
+    colored,
+    draw_solid,
+    draw_way,
+    frustum,
+    gradient,
+    place,
+)
 from infomap_ros.viewer.views_layer import ViewsLayer
 
 _MOST_VOXELS = 120_000  # more are merged to larger ones: each change is sent as a whole

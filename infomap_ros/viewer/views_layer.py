@@ -12,8 +12,7 @@ import numpy as np
 
 from infomap_ros.geometry import PinholeCamera
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.viewer.colors import BASE_WAY, CHOSEN, REJECTED
-from infomap_ros.viewer.shapes import draw_way, frustum, place
+from infomap_ros.viewer.shapes import BASE_WAY, CHOSEN, REJECTED, draw_way, frustum, place
 
 _LENGTH = 0.14  # of the arrow of a view [m]
 _STYLE = "margin:0.3em 0;padding:0 0.6em 0 0.8em;font-size:0.85em;overflow-wrap:anywhere"

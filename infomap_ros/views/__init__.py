@@ -2,5 +2,5 @@
 
 from infomap_ros import names_on_demand
 
-_INFORMATION = "information.expected_information"
+_INFORMATION = "information.view_information"
 __getattr__ = names_on_demand(__name__, {"expected_information": _INFORMATION})

@@ -1,7 +1,18 @@
-"""A choice and its explanation, and what is asked of the robot for it: can a view be reached?"""
+"""A choice and its explanation, and what is asked of the robot for it: can a view be reached?
+
+Views that could not be reached, until the map around them changes.
+
+Voxels that views promised to inform and did not.
+
+A stereo camera measures surfaces, and frees the space before them. Where there is no surface within
+its range, as in the sky, or none with texture, nothing comes back however often one looks, and the
+unknown voxels there would call for another look for ever. What a view is still expected to tell
+right after it has been taken is in vain: that is all it needs to know.
+"""
 
 from __future__ import annotations
 
+import math
 import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -12,8 +23,13 @@ from time import perf_counter
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
-from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.geometry.transforms import FloatArray, check_transform
+from infomap_ros.mapping import VoxelMap
+from infomap_ros.mapping.voxels.keys import unpack_all
+from infomap_ros.mapping.voxels.state import put_states, unknown_states
+from infomap_ros.mapping.voxels.window import UNKNOWN_QUANTA
 
 
 class ReachResult(Protocol):
@@ -180,3 +196,180 @@ def why_none(views: list[RatedView]) -> str:
 
 _LETTERS = 70
 """Of a reason against views; its first clause is told."""
+
+
+_SAME_DISTANCE, _SAME_ANGLE = 0.2, 0.35
+# [m], [rad]: views nearer to a remembered one, and turned by less, are the same
+_AROUND = 0.8  # [m] about a remembered view, where the map must change for it to be tried again
+_LOCAL_CHANGE = 0.02  # share of the voxels there whose state must change for that
+_OVERALL_CHANGE = 0.15
+# share by which the number of known voxels must change for all to be tried again: the way may lead
+# elsewhere
+
+
+@dataclass(frozen=True, eq=False)
+class _Goal:
+    pose: FloatArray
+    reason: str
+    signs: np.ndarray[tuple[int, int, int], np.dtype[np.int8]]
+    known_voxels: int
+
+
+class GoalMemory:
+    """Remembers unreachable views, so that they are not tried again and again."""
+
+    def __init__(self) -> None:
+        self._goals: list[_Goal] = []
+
+    def __len__(self) -> int:
+        return len(self._goals)
+
+    def remember(self, T_map_camera: FloatArray, reason: str, voxel_map: VoxelMap) -> None:
+        """Note that a view, shape (4, 4), cannot be reached in the map as it is, and why."""
+        pose = check_transform(T_map_camera, "T_map_camera")
+        signs = self._signs(pose, voxel_map)
+        self._goals.append(_Goal(pose, reason, signs, voxel_map.known_voxels))
+
+    def reasons_against(self, poses: FloatArray, voxel_map: VoxelMap) -> list[str]:
+        """Why not to try views, shape (M, 4, 4), again: "" or the reason, one each.
+
+        Goals around which the map has changed are forgotten first.
+        """
+        self._forget_changed(voxel_map)
+        reasons = [""] * len(poses)
+        least_cosine = float(np.cos(_SAME_ANGLE))
+        for goal in self._goals:
+            gaps = np.linalg.norm(poses[:, :3, 3] - goal.pose[:3, 3], axis=1)
+            near = gaps <= _SAME_DISTANCE
+            # trace(R^T Q) = 1 + 2 cos(angle between the rotations)
+            traces = np.einsum("mij,ij->m", poses[:, :3, :3], goal.pose[:3, :3])
+            for index in np.flatnonzero(near & (0.5 * (traces - 1.0) >= least_cosine)):
+                reasons[index] = f"unreachable before: {goal.reason}"
+        return reasons
+
+    def _forget_changed(self, voxel_map: VoxelMap) -> None:
+        if not self._goals:
+            return
+        known = voxel_map.known_voxels
+        self._goals = [
+            goal
+            for goal in self._goals
+            if abs(known - goal.known_voxels) <= _OVERALL_CHANGE * max(goal.known_voxels, 1)
+            and self._share_changed(goal, voxel_map) <= _LOCAL_CHANGE
+        ]
+
+    def _share_changed(self, goal: _Goal, voxel_map: VoxelMap) -> float:
+        return float(np.mean(self._signs(goal.pose, voxel_map) != goal.signs))
+
+    def _signs(
+        self, pose: FloatArray, voxel_map: VoxelMap
+    ) -> np.ndarray[tuple[int, int, int], np.dtype[np.int8]]:
+        """Unknown 0, rather empty -1, rather occupied 1, of the voxels around a view."""
+        middle = pose[:3, 3]
+        window = voxel_map.window(middle - _AROUND, middle + _AROUND)
+        signs = np.where(window.quanta > 0, 1, -1).astype(np.int8)
+        signs[window.quanta == UNKNOWN_QUANTA] = 0
+        return signs
+
+
+_CERTAINLY_FREE = -60  # [quanta]
+
+
+LOOK_LIMIT = 1.5
+"""A voxel that stays unknown is no longer expected to tell anything after so many looks in vain
+from next to it. A look from a distance d counts 1 - (d / max_range)^2.
+"""
+
+
+class UnproductiveLooks:
+    """How often each voxel was looked at in vain.
+
+    Args:
+        limit: so many of them give a voxel up, see `LOOK_LIMIT`.
+    """
+
+    def __init__(self, limit: float = LOOK_LIMIT) -> None:
+        self._limit = limit
+        self._keys: NDArray[np.int64] = np.zeros(0, np.int64)
+        self._counts: FloatArray = np.zeros(0)
+
+    def __len__(self) -> int:
+        return len(self._keys)
+
+    def note(
+        self, keys: NDArray[np.int64], voxel_map: VoxelMap, position: FloatArray, max_range: float
+    ) -> None:
+        """Count a look.
+
+        Args:
+            keys: packed indices of the voxels that the view just taken is still expected to
+                inform, each once, shape (K,).
+            voxel_map: with that view.
+            position: of the camera, shape (3,) [m, map].
+            max_range: of the camera [m].
+        """
+        unknown = keys[~_known(voxel_map, keys)]
+        centers = (unpack_all(unknown) + 0.5) * voxel_map.config.voxel_size
+        nearness = np.linalg.norm(centers - position, axis=1) / max_range
+        weights = np.maximum(1.0 - nearness**2, 0.0)
+        still = ~_known(voxel_map, self._keys)
+        keys = np.concatenate([self._keys[still], unknown])
+        self._keys, place = np.unique(keys, return_inverse=True)
+        counts = np.concatenate([self._counts[still], weights])
+        self._counts = np.bincount(place, counts, len(self._keys)).astype(np.float64)
+
+    def are_given_up(self, keys: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Whether voxels are given up, by their packed indices, shape (K,)."""
+        return np.isin(keys, self._keys[self._counts >= self._limit])
+
+    def without_them(self, voxel_map: VoxelMap) -> VoxelMap:
+        """A copy of the map in which the voxels that are given up count as free.
+
+        For what views are expected to tell, and for nothing else: nobody has seen that they are.
+        The map itself where none is given up.
+        """
+        given_up = self._keys[self._counts >= self._limit]
+        given_up = given_up[~_known(voxel_map, given_up)]
+        if not len(given_up):
+            return voxel_map
+        copy = VoxelMap.from_state(voxel_map.config, voxel_map.state())
+        states = unknown_states(unpack_all(given_up).astype(np.int32))
+        states.known[:] = True
+        states.quanta[:] = _CERTAINLY_FREE
+        put_states(copy._storage, states)
+        return copy
+
+
+def _known(voxel_map: VoxelMap, keys: NDArray[np.int64]) -> NDArray[np.bool_]:
+    return voxel_map.is_known((unpack_all(keys) + 0.5) * voxel_map.config.voxel_size)
+
+
+class GainPrior:
+    """What share of what views could tell they have told, in their order.
+
+    A camera that looks into the sky, or at a wall closer than it can match, is told nothing, and
+    the map goes on promising as much. What the map has gained by a view, against what the view
+    still promises, says how far views of its kind are to be trusted; see
+    `views.ranking.terms.Repetition`.
+
+    Attributes:
+        shares: of each view, 0 to 1; NaN where it is not known.
+    """
+
+    def __init__(self) -> None:
+        self.shares: list[float] = []
+        self._entropy = math.nan
+
+    def note(self, left: Sequence[float], entropy: float) -> None:
+        """Count views since the last call; of several it is not known which has told what.
+
+        Args:
+            left: what each of them is still expected to tell, oldest first [bits]; NaN for one
+                that was wanted, and the robot looked from beside it.
+            entropy: of the region of the task with them [bits].
+        """
+        told = max(self._entropy - entropy, 0.0)
+        self._entropy = entropy
+        taken = [each for each in left if not math.isnan(each)]
+        known = len(taken) == 1 and told + taken[0] > 0.0
+        self.shares += [told / (told + each) if known else math.nan for each in left]

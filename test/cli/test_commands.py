@@ -13,8 +13,8 @@ from infomap_ros.messages.commands import (
     decode_base_path,
     decode_velocity,
 )
+from infomap_ros.messages.fields import RosbagsMessageTypes
 from infomap_ros.messages.motions import encode_arm_trajectory, encode_base_path
-from infomap_ros.messages.types import RosbagsMessageTypes
 from infomap_ros.motion.route import ArmPath
 
 TYPES = RosbagsMessageTypes()

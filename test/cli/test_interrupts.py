@@ -11,7 +11,7 @@ import pytest
 from rich.console import Console
 
 from infomap_ros import cli
-from infomap_ros.cli.interrupts import INTERRUPTED, stops_when_interrupted
+from infomap_ros.cli.results import INTERRUPTED, stops_when_interrupted
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.replay.mapping.map_run import MapRun
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import pytest
 
-from infomap_ros.cli.settings import settings_table, with_settings
+from infomap_ros.cli.command_options import settings_table, with_settings
 from infomap_ros.errors import ConfigError
 from infomap_ros.geometry.config import check_config, parameter
 

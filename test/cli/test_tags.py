@@ -12,9 +12,8 @@ from typer.testing import CliRunner
 from infomap_ros.cli.late_commands import new_app
 from infomap_ros.cli.tags_command import tags
 from infomap_ros.errors import InvalidInputError
-from infomap_ros.localization.target.tag_board import FAMILIES, TagBoardConfig
+from infomap_ros.localization.target.tag_board import FAMILIES, TagBoardConfig, draw_board
 from infomap_ros.localization.target.tag_detection import TagFinder
-from infomap_ros.localization.target.tag_drawing import draw_board
 
 SIDE, FOCAL = 0.1, 600.0
 BOARD = TagBoardConfig(family="tag25h9", side=SIDE, columns=2, rows=1, gap=0.04, first_id=7)

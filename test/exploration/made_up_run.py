@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from infomap_ros.exploration.records.surface_growth import SurfaceGrowth
+from infomap_ros.exploration.records.choice_text import SurfaceGrowth
 from infomap_ros.geometry import PinholeCamera, make_transform
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 

@@ -10,7 +10,7 @@ import pytest
 
 from infomap_ros.errors import InvalidInputError
 from infomap_ros.exploration.reports.comparison import LOG_FILE, write_comparison
-from infomap_ros.exploration.reports.report_page.axes import DASH
+from infomap_ros.exploration.reports.report_page.charts import DASH
 
 from .made_up_run import entries, made_up_map
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from infomap_ros.exploration.fiducial_error import FiducialLocalizationError
 from infomap_ros.geometry import PinholeCamera, StereoRig, make_transform
-from infomap_ros.localization.filter.records import Fiducials
+from infomap_ros.localization.filter.config import Fiducials
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.views.ranking.terms import OdometryDrift
 from infomap_ros.views.situation import Situation

@@ -11,11 +11,17 @@ import numpy as np
 import pytest
 
 from infomap_ros.errors import ConfigError, MissionFileError, TeammatesBusyError
-from infomap_ros.exploration.control import Control, Request
 from infomap_ros.exploration.loop import EndReason, Exploration
 from infomap_ros.exploration.mission import Mission
-from infomap_ros.exploration.planar import planar_pose, way_length
-from infomap_ros.exploration.robot import Choice, Interrupted, Motion, RobotState
+from infomap_ros.exploration.robot import (
+    Choice,
+    Interrupted,
+    Motion,
+    RobotState,
+    planar_pose,
+    way_length,
+)
+from infomap_ros.exploration.rules import Control, Request
 from infomap_ros.exploration.task import TaskConfig
 from infomap_ros.geometry import make_transform
 

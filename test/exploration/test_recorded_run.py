@@ -11,9 +11,8 @@ import numpy as np
 import pytest
 
 from infomap_ros.errors import RunLogError
-from infomap_ros.exploration.records.log_records import Decision, Motion, Progress
 from infomap_ros.exploration.records.recorded_run import read_run
-from infomap_ros.exploration.records.run_log import RunLogFile
+from infomap_ros.exploration.records.run_log import Decision, Motion, Progress, RunLogFile
 
 from .made_up_run import CAMERA, entries, write_log
 

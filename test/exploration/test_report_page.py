@@ -14,26 +14,27 @@ import numpy as np
 import pytest
 
 from infomap_ros.errors import MapFileError, RunLogError
+from infomap_ros.exploration.records.choice_text import grown_voxels
 from infomap_ros.exploration.records.recorded_run import read_run
-from infomap_ros.exploration.records.surface_growth import grown_voxels
 from infomap_ros.exploration.reports.report import write_map_report, write_report
 from infomap_ros.exploration.reports.report_page import scene
-from infomap_ros.exploration.reports.report_page.axes import (
+from infomap_ros.exploration.reports.report_page.charts import (
     DASH,
     MINUS,
+    Curve,
     duration,
+    line_chart,
     number,
     quantity,
     round_ticks,
 )
-from infomap_ros.exploration.reports.report_page.charts import Curve, line_chart
-from infomap_ros.exploration.reports.report_page.scene import pack
-from infomap_ros.exploration.reports.report_page.surface import (
+from infomap_ros.exploration.reports.report_page.scene import (
     LOG_ODDS_RANGE,
     SIGMA_RANGE,
     drawn_surface,
+    pack,
 )
-from infomap_ros.exploration.reports.report_page.tables import kind_of
+from infomap_ros.exploration.reports.report_page.sections import kind_of
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.mapping.files.export import surface_sigmas
 

@@ -11,17 +11,16 @@ from infomap_ros.exploration.view_choice import SurfaceCompletion, missing_surfa
 from infomap_ros.geometry import PinholeCamera
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.mapping.voxels.keys import pack
-from infomap_ros.mapping.voxels.voxel_states import (
+from infomap_ros.mapping.voxels.state import (
     VoxelStates,
     information_of,
     put_states,
     unknown_states,
 )
-from infomap_ros.views.information.information_config import InformationConfig
-from infomap_ros.views.information.view_query import checked_poses
+from infomap_ros.views.decision import UnproductiveLooks
+from infomap_ros.views.information.view_query import InformationConfig, checked_poses
 from infomap_ros.views.sampling.orientations import look_rotations
 from infomap_ros.views.situation import RegionOfTask, Situation
-from infomap_ros.views.unproductive_looks import UnproductiveLooks
 
 REGION = np.array([(-1.2, -1.2, -0.3), (1.2, 1.2, 1.0)])
 INSIDE = (0.0, 0.0, 0.5)

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from infomap_ros.exploration.team.team_bodies import TeamBodies
+from infomap_ros.exploration.team.teammate_places import TeamBodies
 from infomap_ros.geometry.resources import find_share
 from infomap_ros.mapping import NOT_OBSERVED, VoxelMap, VoxelMapConfig
 from infomap_ros.mapping.correction.correctable_map import CorrectableMap

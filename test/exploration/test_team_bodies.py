@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from infomap_ros.errors import PoseUnavailableError
-from infomap_ros.exploration.team.team_bodies import TeamBodies, TeamBodiesConfig
-from infomap_ros.exploration.team.teammate_places import on_bodies
+from infomap_ros.exploration.team.teammate_places import TeamBodies, TeamBodiesConfig, on_bodies
 from infomap_ros.geometry import (
     PinholeCamera,
     PlacedSolid,

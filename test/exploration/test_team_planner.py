@@ -17,11 +17,11 @@ from infomap_ros.exploration.view_planner import Surrounding, ViewPlanner, ViewP
 from infomap_ros.geometry import PinholeCamera, StereoRig, make_transform
 from infomap_ros.geometry.resources import find_share
 from infomap_ros.mapping import VoxelMap
-from infomap_ros.mapping.voxels.voxel_states import VoxelStates, information_of, put_states
+from infomap_ros.mapping.voxels.state import VoxelStates, information_of, put_states
 from infomap_ros.motion.robot.robot_model import RobotModel
 from infomap_ros.motion.whole_body import ReachingConfig
 from infomap_ros.simulation.body.robot import read_description
-from infomap_ros.team.agents_config import AgentsConfig
+from infomap_ros.team.agents import AgentsConfig
 from infomap_ros.views.next_best_view import NextBestViewConfig
 from infomap_ros.views.sampling.candidates import CandidateConfig
 from infomap_ros.views.selection import SelectionConfig

@@ -17,7 +17,7 @@ from infomap_ros.geometry import Polygon, make_transform
 from infomap_ros.geometry.resources import find_share
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap
-from infomap_ros.mapping.voxels.voxel_states import VoxelStates, information_of, put_states
+from infomap_ros.mapping.voxels.state import VoxelStates, information_of, put_states
 from infomap_ros.motion.keep_out import KeepOut
 from infomap_ros.motion.robot.robot_model import RobotModel
 from infomap_ros.motion.route import Route

@@ -15,7 +15,7 @@ from infomap_ros.exploration.view_planner import Surrounding, ViewPlanner, ViewP
 from infomap_ros.geometry import PinholeCamera, Polygon, StereoRig, make_transform
 from infomap_ros.geometry.resources import find_share
 from infomap_ros.mapping import VoxelMap
-from infomap_ros.mapping.voxels.voxel_states import (
+from infomap_ros.mapping.voxels.state import (
     VoxelStates,
     information_of,
     put_states,

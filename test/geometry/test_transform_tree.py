@@ -13,7 +13,7 @@ from infomap_ros.geometry import (
     make_transform,
     perturb_transform,
 )
-from infomap_ros.geometry.transform_tree import TransformTree
+from infomap_ros.geometry.pose_buffer import TransformTree
 
 SECOND = 1_000_000_000
 

@@ -10,8 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from infomap_ros.geometry import PinholeCamera, make_transform
 from infomap_ros.localization.fiducials.range_view import DepthView
-from infomap_ros.localization.target.tag_board import TagBoardConfig
-from infomap_ros.localization.target.tag_drawing import draw_board
+from infomap_ros.localization.target.tag_board import TagBoardConfig, draw_board
 from infomap_ros.stereo import DepthCameraSensor
 
 CAMERA = PinholeCamera(320, 240, 260.0, 260.0, 159.5, 119.5)

@@ -9,8 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from infomap_ros.geometry import PinholeCamera, invert_transform, make_transform
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.localization.target.tag_board import TagBoard, TagBoardConfig
-from infomap_ros.localization.target.tag_drawing import draw_board
+from infomap_ros.localization.target.tag_board import TagBoard, TagBoardConfig, draw_board
 from infomap_ros.stereo import RangeCloud
 
 CAMERA = PinholeCamera(640, 480, 500.0, 500.0, 321.3, 238.4)

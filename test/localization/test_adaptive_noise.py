@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from infomap_ros.localization.filter.adaptive_noise import AdaptiveNoise
 from infomap_ros.localization.filter.fiducial_filter import FiducialFilter
+from infomap_ros.localization.filter.hypothesis_choice import AdaptiveNoise
 from infomap_ros.localization.filter.motion_prior import MotionPrior
 
 from .fiducial_scene import CAMERA, PIXEL_SIGMA, RHO_SIGMA, observe, wall

@@ -9,8 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry import PoseRecord, invert_transform, make_transform, perturb_transform
-from infomap_ros.localization.base_pose import base_in_map, told_base
-from infomap_ros.localization.dead_reckoning import DeadReckoningConfig
+from infomap_ros.localization.dead_reckoning import DeadReckoningConfig, base_in_map, told_base
 from infomap_ros.localization.localizer import Localizer
 from infomap_ros.localization.localizer_config import LocalizerConfig
 

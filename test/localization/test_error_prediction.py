@@ -22,8 +22,8 @@ from infomap_ros.localization.dead_reckoning import DeadReckoning, DeadReckoning
 from infomap_ros.localization.prediction.error_prediction import (
     ErrorPrediction,
     ErrorPredictionConfig,
+    Ways,
 )
-from infomap_ros.localization.prediction.ways import Ways
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 
 CAMERA = PinholeCamera(512, 384, 340.0, 340.0, 255.5, 191.5)

@@ -10,7 +10,7 @@ from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry import make_transform, perturb_transform
 from infomap_ros.localization.filter.invariant_state import InvariantState
 from infomap_ros.localization.filter.lie import exponential, left_jacobian
-from infomap_ros.localization.filter.pose_errors import invariant_difference
+from infomap_ros.localization.filter.shared_errors import invariant_difference
 from test.localization.fiducial_scene import wall
 
 

@@ -8,8 +8,8 @@ from scipy.spatial.transform import Rotation
 from infomap_ros.geometry import make_transform
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.localization.target.config import ModelTargetConfig
-from infomap_ros.localization.target.model_rivals import Evidence, PoseComparison
-from infomap_ros.localization.target.model_shape import shape_from_triangles
+from infomap_ros.localization.target.model_check import Evidence, PoseComparison
+from infomap_ros.localization.target.model_scene import shape_from_triangles
 from infomap_ros.localization.target.model_target import ModelTargetDetector
 from infomap_ros.localization.target.target import TargetRefusal
 

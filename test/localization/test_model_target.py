@@ -13,12 +13,15 @@ from infomap_ros.geometry import make_transform, perturb_transform, transform_po
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.localization.target.config import ModelTargetConfig, TargetConfig, make_detector
 from infomap_ros.localization.target.model_check import check_pose, flat_share, visible_points
-from infomap_ros.localization.target.model_fit import ModelFitter
-from infomap_ros.localization.target.model_scene import ModelScene, on_large_planes
-from infomap_ros.localization.target.model_search import register
-from infomap_ros.localization.target.model_shape import ModelShape, load_model, shape_from_triangles
-from infomap_ros.localization.target.model_target import ModelTargetDetector
-from infomap_ros.localization.target.point_pairs import build_table, vote
+from infomap_ros.localization.target.model_scene import (
+    ModelScene,
+    ModelShape,
+    load_model,
+    on_large_planes,
+    shape_from_triangles,
+)
+from infomap_ros.localization.target.model_search import build_table, register, vote
+from infomap_ros.localization.target.model_target import ModelFitter, ModelTargetDetector
 from infomap_ros.localization.target.target import TargetRefusal, TargetSighting
 
 from .model_scenes import CloudView, box, bracket, on_triangles, range_map, some_pose

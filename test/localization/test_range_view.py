@@ -20,7 +20,7 @@ from infomap_ros.stereo import (
     StereoConfig,
     StereoRangeSensor,
 )
-from infomap_ros.stereo.ground_truth import load_pairs
+from infomap_ros.stereo.evaluation import load_pairs
 from test.localization.textured_plane import CAMERA, RIG, SENSOR, TexturedPlane, camera_at
 
 

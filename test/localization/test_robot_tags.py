@@ -8,15 +8,17 @@ import pytest
 from infomap_ros.errors import ConfigError, InvalidInputError
 from infomap_ros.geometry import invert_transform, make_transform, perturb_transform
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.localization.target.map_alignment import (
+from infomap_ros.localization.target.tag_board import TagBoard, TagBoardConfig
+from infomap_ros.localization.target.tag_detector import TagTargetConfig
+from infomap_ros.localization.target.team_alignment import (
     Alignment,
+    RobotTagFinder,
+    RobotTags,
     align_by_sighting,
     fuse_alignments,
     squared_distance,
+    tag_pose,
 )
-from infomap_ros.localization.target.robot_tags import RobotTagFinder, RobotTags, tag_pose
-from infomap_ros.localization.target.tag_board import TagBoard, TagBoardConfig
-from infomap_ros.localization.target.tag_detector import TagTargetConfig
 
 from .tag_scenes import BoardView, pose_error, seen_from
 

@@ -13,8 +13,14 @@ from PIL import Image
 
 from infomap_ros import cli
 from infomap_ros.errors import ConfigError, InvalidInputError
-from infomap_ros.localization.target.tag_board import FAMILIES, TagBoard, TagBoardConfig, dictionary
-from infomap_ros.localization.target.tag_drawing import draw_board, save_board
+from infomap_ros.localization.target.tag_board import (
+    FAMILIES,
+    TagBoard,
+    TagBoardConfig,
+    dictionary,
+    draw_board,
+    save_board,
+)
 
 
 def read_by_opencv(image: np.ndarray, family: str) -> dict[int, np.ndarray]:

@@ -7,14 +7,15 @@ import pytest
 
 from infomap_ros.errors import ConfigError, InvalidInputError
 from infomap_ros.geometry import invert_transform, perturb_transform
-from infomap_ros.localization.target.map_alignment import (
-    Alignment,
-    fuse_alignments,
-)
 from infomap_ros.localization.target.tag_board import TagBoard, TagBoardConfig
 from infomap_ros.localization.target.tag_detector import TagTargetConfig, TagTargetDetector
 from infomap_ros.localization.target.target import TargetSighting
-from infomap_ros.localization.target.team_alignment import TeamAlignment, TeamTagsConfig
+from infomap_ros.localization.target.team_alignment import (
+    Alignment,
+    TeamAlignment,
+    TeamTagsConfig,
+    fuse_alignments,
+)
 
 from .tag_scenes import BoardView, pose_error, seen_from
 

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from infomap_ros.geometry import invert_transform, make_transform
-from infomap_ros.localization.fiducials.viewpoints import (
+from infomap_ros.localization.fiducials.tracks import (
     look_the_same,
     moved_viewpoint,
     turns_since,

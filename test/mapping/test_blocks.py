@@ -23,18 +23,21 @@ from infomap_ros.mapping.voxels.block_kernels import (
     make_room,
     quanta_at,
 )
-from infomap_ros.mapping.voxels.blocks import (
+from infomap_ros.mapping.voxels.keys import (
     BLOCK_COUNT,
+    BLOCK_VOXELS,
+    COORDINATE_LIMIT,
     NARROW,
     UNIFORM,
     UNSEEN,
     WIDE,
     BlockArrays,
     empty_blocks,
+    pack,
+    unpack,
     with_room,
 )
-from infomap_ros.mapping.voxels.keys import BLOCK_VOXELS, COORDINATE_LIMIT, pack, unpack
-from infomap_ros.mapping.voxels.witnesses import Witnesses
+from infomap_ros.mapping.voxels.surface import Witnesses
 
 KEYS = [pack(0, 0, 0), pack(-1, 5, 2), pack(1000, -7, 3)]
 COORDINATES = np.array([unpack(key) for key in KEYS], np.int32)

@@ -9,9 +9,9 @@ from infomap_ros.errors import CapacityError
 from infomap_ros.geometry import PinholeCamera
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.mapping.voxels import storage, surface
-from infomap_ros.mapping.voxels.blocks import BLOCK_COUNT
+from infomap_ros.mapping.voxels.keys import BLOCK_COUNT
+from infomap_ros.mapping.voxels.state import VoxelStates, put_states
 from infomap_ros.mapping.voxels.surface_kernels import ROW_COUNT
-from infomap_ros.mapping.voxels.voxel_states import VoxelStates, put_states
 
 from .scenes import look_at
 from .voxels import voxels_of

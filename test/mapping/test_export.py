@@ -12,15 +12,16 @@ from scipy.spatial.transform import Rotation
 from infomap_ros.errors import ConfigError, InvalidInputError
 from infomap_ros.mapping import LOG_ODDS_QUANTUM, VoxelMap, VoxelMapConfig
 from infomap_ros.mapping.files.export import (
+    ProjectionConfig,
     height_colors,
+    project_map,
     surface_sigmas,
     write_distances,
     write_grid,
     write_ply,
     write_stl,
 )
-from infomap_ros.mapping.files.projection import ProjectionConfig, project_map
-from infomap_ros.mapping.voxels.voxel_states import put_states, unknown_states
+from infomap_ros.mapping.voxels.state import put_states, unknown_states
 
 
 @pytest.fixture(scope="module")

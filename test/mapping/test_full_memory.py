@@ -11,7 +11,7 @@ import pytest
 from infomap_ros.errors import CapacityError
 from infomap_ros.geometry import make_transform
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
-from infomap_ros.mapping.voxels import blocks, storage, surface, witnesses
+from infomap_ros.mapping.voxels import keys, storage, surface
 
 LOOKING_AHEAD = [[0, 0, 1], [-1, 0, 0], [0, -1, 0]]
 
@@ -24,7 +24,7 @@ def integrate(voxel_map: VoxelMap, number: int) -> None:
     voxel_map.integrate(points.astype(np.float32), pose, pose_covariance=1e-6 * np.eye(6))
 
 
-@pytest.mark.parametrize("module", [blocks, storage, surface, witnesses])
+@pytest.mark.parametrize("module", [keys, storage, surface, surface])
 def test_no_memory_in_a_scan(module: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """Each of the arrays in turn cannot grow."""
     fresh = VoxelMap(VoxelMapConfig(voxel_size=0.05))

@@ -7,7 +7,7 @@ import pytest
 
 from infomap_ros.geometry import PinholeCamera
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
-from infomap_ros.mapping.voxels.blocks import BLOCK_COUNT, block_bytes
+from infomap_ros.mapping.voxels.keys import BLOCK_COUNT, block_bytes
 from infomap_ros.mapping.voxels.surface import surface_bytes
 
 from .scenes import Scene, look_at

@@ -10,8 +10,14 @@ import pytest
 from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry import PinholeCamera, make_transform
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
-from infomap_ros.studies.analytic_scene import AnalyticScene, random_scene, random_view
-from infomap_ros.studies.noisy_scans import CAMERA, RangeNoise, depth_of
+from infomap_ros.studies.noisy_scans import (
+    CAMERA,
+    AnalyticScene,
+    RangeNoise,
+    depth_of,
+    random_scene,
+    random_view,
+)
 
 from .scenes import Scene, look_at
 

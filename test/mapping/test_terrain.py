@@ -9,7 +9,7 @@ from infomap_ros.errors import ConfigError, InvalidInputError
 from infomap_ros.geometry import PinholeCamera
 from infomap_ros.mapping import FREE, OCCUPIED, UNKNOWN, VoxelMap, VoxelMapConfig
 from infomap_ros.mapping.terrain.terrain import Terrain, TerrainConfig, terrain_of
-from infomap_ros.mapping.voxels.voxel_states import VoxelStates, information_of, put_states
+from infomap_ros.mapping.voxels.state import VoxelStates, information_of, put_states
 
 from .scenes import Scene, look_at
 from .voxels import map_of

@@ -5,8 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from infomap_ros.mapping.terrain.cubes import OPEN, SOLID, drop_specks
-from infomap_ros.mapping.terrain.measures import fill_holes, largest_steps, plane_misfits
+from infomap_ros.mapping.terrain.measures import (
+    OPEN,
+    SOLID,
+    drop_specks,
+    fill_holes,
+    largest_steps,
+    plane_misfits,
+)
 
 
 def grid_with_holes(rng: np.random.Generator) -> np.ndarray:

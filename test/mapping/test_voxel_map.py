@@ -14,7 +14,7 @@ from infomap_ros.mapping import (
     VoxelMap,
     VoxelMapConfig,
 )
-from infomap_ros.mapping.voxels.witnesses import LIMIT
+from infomap_ros.mapping.voxels.surface import LIMIT
 
 from .scenes import random_pose, random_scene
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from infomap_ros.geometry import make_transform
-from infomap_ros.mapping.voxels.witnesses import (
+from infomap_ros.mapping.voxels.surface import (
     LIMIT,
     STEP,
     Witnesses,

@@ -9,8 +9,7 @@ from numba import njit
 
 from infomap_ros.mapping import FREE, OCCUPIED, VoxelMap, VoxelMapConfig
 from infomap_ros.mapping.voxels.block_kernels import add_quanta, find_or_add_block, make_room
-from infomap_ros.mapping.voxels.blocks import with_room
-from infomap_ros.mapping.voxels.keys import BLOCK_BITS, local_index, pack, unpack
+from infomap_ros.mapping.voxels.keys import BLOCK_BITS, local_index, pack, unpack, with_room
 
 EVIDENCE = 12  # quanta for occupied, against for free
 

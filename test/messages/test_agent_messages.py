@@ -12,7 +12,7 @@ from infomap_ros.errors import MalformedMessageError
 from infomap_ros.geometry import PinholeCamera, make_transform
 from infomap_ros.messages import RosbagsMessageTypes
 from infomap_ros.messages.agents import AGENTS, BODY, GOAL, decode_agent_texts, encode_agent
-from infomap_ros.team.agent_text import agent_from_text, agent_to_text
+from infomap_ros.team.agent_board import agent_from_text, agent_to_text
 from infomap_ros.team.agents import Agent
 
 CAMERA = PinholeCamera(64, 48, 50.0, 50.0, 31.5, 23.5)

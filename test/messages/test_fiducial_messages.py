@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from infomap_ros.errors import MalformedMessageError
-from infomap_ros.localization.filter.records import Fiducials
+from infomap_ros.localization.filter.config import Fiducials
 from infomap_ros.messages import POINT_CLOUD, RosbagsMessageTypes
 from infomap_ros.messages.fiducials import (
     FIDUCIAL_ROW,

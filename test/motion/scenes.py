@@ -8,7 +8,7 @@ import numpy as np
 
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.mapping.distance_field import DistanceField, field_of_blocked
-from infomap_ros.mapping.voxels.voxel_states import VoxelStates, put_states
+from infomap_ros.mapping.voxels.state import VoxelStates, put_states
 
 SIZE = 0.05
 FIRST = np.array((-40, -40, -10))

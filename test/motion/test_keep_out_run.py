@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from infomap_ros.cli.settings import with_settings
+from infomap_ros.cli.command_options import with_settings
 from infomap_ros.exploration.commanded_robot import CommandedRobot
 from infomap_ros.exploration.robot import Interrupted, Motion
 from infomap_ros.motion.base.path_following import PathFollowingConfig, drive_seconds

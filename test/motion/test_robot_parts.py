@@ -11,8 +11,12 @@ import pytest
 
 from infomap_ros.geometry.resources import find_share
 from infomap_ros.motion.robot.robot_model import RobotModel
-from infomap_ros.simulation.robots.camera_parts import find_arm_ends, find_cameras, find_telescopes
-from infomap_ros.simulation.robots.wheel_parts import find_wheels
+from infomap_ros.simulation.robots.camera_parts import (
+    find_arm_ends,
+    find_cameras,
+    find_telescopes,
+    find_wheels,
+)
 
 from .known_robots import TELESCOPE, installed
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from infomap_ros.motion.traversability import traversability
+from infomap_ros.motion.reaching import traversability
 
 from .grounds import CELL, ground, rover, stance_of
 

@@ -17,14 +17,14 @@ from infomap_ros.messages.commands import (
     decode_arm_trajectory,
     decode_base_path,
 )
-from infomap_ros.nodes.driving.action_types import (
+from infomap_ros.nodes.driving.motion_result import (
     FOLLOW_JOINT_TRAJECTORY,
     FOLLOW_PATH,
     NAVIGATE_THROUGH_POSES,
     action_class,
 )
 from infomap_ros.nodes.simulated.simulator_actions import GoalServer
-from infomap_ros.simulation.body.controller_rules import why_refused
+from infomap_ros.simulation.body.arm_motion import why_refused
 
 PERIOD = 0.02  # [s]
 

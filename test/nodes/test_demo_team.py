@@ -9,8 +9,8 @@ import pytest
 from infomap_ros.errors import ProcessError
 from infomap_ros.nodes.live import demo_team
 from infomap_ros.nodes.live.kernels import STEPS, TEAM, compile_kernels
-from infomap_ros.nodes.live.live_team import LiveTeam
-from infomap_ros.simulation.multi_robot.team_starts import TeamStart
+from infomap_ros.nodes.live.live_exploration import LiveTeam
+from infomap_ros.simulation.multi_robot.team_world import TeamStart
 
 
 def test_each_robot_is_told_who_it_is_and_where_it_starts(tmp_path: Path) -> None:

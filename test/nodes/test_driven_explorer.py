@@ -12,7 +12,7 @@ from infomap_ros.geometry import make_transform
 from infomap_ros.messages.commands import decode_arm_trajectory
 from infomap_ros.nodes.planning.exploration_status import read_status
 from infomap_ros.nodes.robot_driver import RobotDriverNode
-from infomap_ros.simulation.body.controller_rules import why_refused
+from infomap_ros.simulation.body.arm_motion import why_refused
 
 from .controllers import PathController, TrajectoryController
 from .rovers import PaperRover

@@ -24,7 +24,7 @@ from infomap_ros.motion.route import ArmPath, Route
 from infomap_ros.nodes.explorer import ExplorerNode
 from infomap_ros.nodes.locating.localization_status import status_message
 from infomap_ros.nodes.planning.exploration_status import read_status
-from infomap_ros.simulation.body.controller_rules import why_refused
+from infomap_ros.simulation.body.arm_motion import why_refused
 
 from .rovers import PaperRover
 

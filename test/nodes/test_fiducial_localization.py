@@ -30,7 +30,7 @@ from infomap_ros.messages import (
     encode_image,
     encode_pose,
 )
-from infomap_ros.messages.keyframes import decode_keyframe_poses
+from infomap_ros.messages.motions import decode_keyframe_poses
 from infomap_ros.messages.pose_uncertainty import decode_pose_uncertainty
 from infomap_ros.messages.rows import decode_rows
 from infomap_ros.nodes.common import qos

@@ -16,7 +16,7 @@ from infomap_ros.geometry import CameraCalibration, CameraInfoRecord, ImageRecor
 from infomap_ros.messages import encode_camera_info, encode_image
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.message_types import RclpyMessageTypes
-from infomap_ros.nodes.diagnosis import findings
+from infomap_ros.nodes.diagnosis import doctor
 from infomap_ros.nodes.diagnosis.doctor import Doctor, main
 
 FRAME = "left_optical_frame"
@@ -41,13 +41,13 @@ def test_rows_that_are_not_aligned_are_measured(rng: np.random.Generator) -> Non
     scene = textured(rng, 260, 340)
     left, right = scene[10:250, 10:330], scene[6:246, 5:325]
 
-    assert findings.row_offset(left, right) == pytest.approx(4.0, abs=0.5)
-    assert not findings.check_rows("right", image(left), image(right)).good
-    assert findings.check_rows("right", image(left), image(scene[10:250, 3:323])).good
+    assert doctor.row_offset(left, right) == pytest.approx(4.0, abs=0.5)
+    assert not doctor.check_rows("right", image(left), image(right)).good
+    assert doctor.check_rows("right", image(left), image(scene[10:250, 3:323])).good
 
 
 def test_a_calibration_for_another_size_is_found() -> None:
-    finding = findings.check_size(
+    finding = doctor.check_size(
         "/left", image(np.zeros((480, 640), np.uint8)), CameraInfoRecord(0, FRAME, calibration())
     )
 
@@ -57,8 +57,8 @@ def test_a_calibration_for_another_size_is_found() -> None:
 
 
 def test_a_rig_without_baseline_is_found() -> None:
-    assert not findings.check_rig("/right", calibration(), calibration()).good
-    assert findings.check_rig("/right", calibration(), calibration(baseline=0.1)).good
+    assert not doctor.check_rig("/right", calibration(), calibration()).good
+    assert doctor.check_rig("/right", calibration(), calibration(baseline=0.1)).good
 
 
 @pytest.mark.parametrize(
@@ -67,11 +67,11 @@ def test_a_rig_without_baseline_is_found() -> None:
 def test_stamps_without_poses_are_found(poses: list[int], good: bool) -> None:
     records = [PoseRecord(stamp, "map", np.eye(4)) for stamp in poses]
 
-    assert findings.check_stamps("/camera_pose", [5, 10], records).good is good
+    assert doctor.check_stamps("/camera_pose", [5, 10], records).good is good
 
 
 def test_the_doctor_names_what_a_graph_lacks(graph: Any, rng: np.random.Generator) -> None:
-    doctor = graph.add(lambda **arguments: Doctor(False, **arguments))
+    examiner = graph.add(lambda **arguments: Doctor(False, **arguments))
     types = RclpyMessageTypes()
     left = graph.publisher(Image, "left/image_rect")
     graph.publisher(Image, "camera/right/image_rect")
@@ -82,15 +82,15 @@ def test_the_doctor_names_what_a_graph_lacks(graph: Any, rng: np.random.Generato
     graph.tester.create_publisher(String, "chatter", qos.sensor_data())
 
     def heard() -> bool:
-        doctor.listen_to_all()
+        examiner.listen_to_all()
         if left.get_subscription_count() and info.get_subscription_count():
             left.publish(encode_image(types, image(textured(rng, 120, 160))))
             info.publish(encode_camera_info(types, CameraInfoRecord(0, "other", calibration())))
-        return bool(doctor.records["left/image_rect"] and doctor.records["left/camera_info"])
+        return bool(examiner.records["left/image_rect"] and examiner.records["left/camera_info"])
 
     graph.spin_until(heard, "image and camera info")
     space = graph.namespace
-    wrong = {(f.subject, f.text) for f in doctor.examine() if not f.good}
+    wrong = {(f.subject, f.text) for f in examiner.examine() if not f.good}
 
     def about(subject: str) -> str:
         return " | ".join(text for name, text in wrong if name == f"{space}/{subject}")
@@ -103,42 +103,42 @@ def test_the_doctor_names_what_a_graph_lacks(graph: Any, rng: np.random.Generato
 
 
 def test_the_doctor_says_that_the_camera_is_lost(graph: Any) -> None:
-    doctor = graph.add(lambda **arguments: Doctor(False, **arguments))
+    examiner = graph.add(lambda **arguments: Doctor(False, **arguments))
     told = graph.tester.create_publisher(DiagnosticArray, "/diagnostics", qos.stream())
     graph.connect(told)
     values = {"state": "lost", "reason": "3 fiducials in view, 5 needed", "fiducials tracked": "0"}
     pairs = [KeyValue(key=key, value=value) for key, value in values.items()]
     told.publish(DiagnosticArray(status=[DiagnosticStatus(hardware_id="/robot", values=pairs)]))
 
-    graph.spin_until(lambda: doctor.conditions, "the diagnostics")
+    graph.spin_until(lambda: examiner.conditions, "the diagnostics")
 
-    wrong = {f.subject: f.text for f in doctor.examine() if not f.good}
+    wrong = {f.subject: f.text for f in examiner.examine() if not f.good}
     assert wrong["/robot"] == "lost, 0 fiducials tracked: 3 fiducials in view, 5 needed"
 
 
 def test_the_doctor_reads_compressed_images(graph: Any, rng: np.random.Generator) -> None:
     remap = ["--ros-args", "-r", "left/image_rect:=left/image_rect/compressed"]
-    doctor = graph.add(lambda **arguments: Doctor(False, cli_args=remap, **arguments))
+    examiner = graph.add(lambda **arguments: Doctor(False, cli_args=remap, **arguments))
     left = graph.publisher(CompressedImage, "left/image_rect/compressed")
     pixels = textured(rng, 120, 160)
     message = CompressedImage(format="mono8; png compressed mono8")
     message.data = array("B", cv2.imencode(".png", pixels)[1].tobytes())
 
     def heard() -> bool:
-        doctor.listen_to_all()
+        examiner.listen_to_all()
         left.publish(message)
-        return bool(doctor.records["left/image_rect"])
+        return bool(examiner.records["left/image_rect"])
 
     graph.spin_until(heard, "an image")
-    assert doctor.records["left/image_rect"][0].encoding == "mono8"
+    assert examiner.records["left/image_rect"][0].encoding == "mono8"
 
 
 def test_the_doctor_tells_raw_from_rectified(graph: Any) -> None:
-    doctor = graph.add(lambda **arguments: Doctor(False, **arguments))
+    examiner = graph.add(lambda **arguments: Doctor(False, **arguments))
     raw = graph.publisher(Image, "left/image_raw")
     graph.spin_until(lambda: doctor.count_publishers(raw.topic_name), "the publisher")
 
-    texts = [f.text for f in doctor.examine() if f.subject.endswith("left/image_rect")]
+    texts = [f.text for f in examiner.examine() if f.subject.endswith("left/image_rect")]
 
     assert "start stereo_range with rectify:=true" in texts[0]
 

@@ -15,10 +15,10 @@ from infomap_ros.errors import InfomapError, MalformedMessageError
 from infomap_ros.geometry import TransformRecord, make_transform
 from infomap_ros.geometry.assumed_pose import AssumedPoseConfig
 from infomap_ros.geometry.joint_buffer import JointBufferConfig
-from infomap_ros.geometry.transform_tree import TransformTree
+from infomap_ros.geometry.pose_buffer import TransformTree
 from infomap_ros.nodes.common.health import Health
 from infomap_ros.nodes.robot import description_listener
-from infomap_ros.nodes.robot.frame_listener import FrameListener
+from infomap_ros.nodes.robot.odometry_listener import FrameListener
 from infomap_ros.nodes.robot.robot_tracker import RobotTracker, RobotTrackerConfig
 
 ROBOT = """<robot name="r"><link name="base_link"/><link name="cam"/>

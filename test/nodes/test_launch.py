@@ -20,7 +20,7 @@ from infomap_ros.geometry.resources import find_share
 from infomap_ros.motion.arm.controller_trajectories import read_controllers
 from infomap_ros.nodes.driving.driver_config import RobotDriverConfig
 from infomap_ros.nodes.parameter_docs import NODES, node_parameters
-from infomap_ros.simulation.robots.robot_parameters import PARAMETERS
+from infomap_ros.simulation.robots.robot_file import PARAMETERS
 
 EXPLORING = ("stereo_range", "map_fusion", "fiducial_localization", "next_best_view", "explorer")
 

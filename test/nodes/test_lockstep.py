@@ -13,7 +13,7 @@ from rosgraph_msgs.msg import Clock
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
-from infomap_ros.cli.settings import with_settings
+from infomap_ros.cli.command_options import with_settings
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode

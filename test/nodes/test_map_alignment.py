@@ -23,9 +23,8 @@ from infomap_ros.geometry import (
     points_inside,
 )
 from infomap_ros.localization.localized_camera import LocalizedCamera
-from infomap_ros.localization.target.robot_tags import tag_pose
 from infomap_ros.localization.target.tag_board import TagBoard, TagBoardConfig
-from infomap_ros.localization.target.team_alignment import TeamTagsConfig
+from infomap_ros.localization.target.team_alignment import TeamTagsConfig, tag_pose
 from infomap_ros.messages import decode_pose_with_covariance, encode_pose
 from infomap_ros.messages.agents import encode_agent
 from infomap_ros.messages.rows import encode_rows
@@ -34,13 +33,16 @@ from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.common.message_types import RclpyMessageTypes
 from infomap_ros.nodes.locating.teammate_sight import TeammateSight
 from infomap_ros.nodes.robot.robot_tracker import RobotTrackerConfig
-from infomap_ros.nodes.team.map_moves import alignment_message, listen_to_moves, read_signed
-from infomap_ros.nodes.team.team_identity import TeamIdentityConfig
-from infomap_ros.team.agent_text import agent_to_text
-from infomap_ros.team.agents import Agent
-from infomap_ros.team.agents_config import AgentBoardConfig
-from infomap_ros.team.alignment_rows import encode_alignment
-from infomap_ros.team.authentication import NOT_AUTHENTIC, TeamKey
+from infomap_ros.nodes.team.map_moves import (
+    alignment_message,
+    encode_alignment,
+    listen_to_moves,
+    read_signed,
+)
+from infomap_ros.nodes.team.team_topics import TeamIdentityConfig
+from infomap_ros.team.agent_board import agent_to_text
+from infomap_ros.team.agents import Agent, AgentBoardConfig
+from infomap_ros.team.membership import NOT_AUTHENTIC, TeamKey
 from test.localization.tag_scenes import BoardView, pose_error, seen_from
 from test.nodes.test_fiducial_localization import Stage
 

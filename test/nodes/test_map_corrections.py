@@ -15,7 +15,7 @@ from infomap_ros.errors import MalformedMessageError
 from infomap_ros.geometry import PoseRecord, make_transform
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.messages import encode_pose
-from infomap_ros.messages.keyframes import (
+from infomap_ros.messages.motions import (
     KeyframePoses,
     decode_keyframe_covariances,
     decode_keyframe_poses,
@@ -24,7 +24,7 @@ from infomap_ros.messages.keyframes import (
 )
 from infomap_ros.messages.rows import encode_rows
 from infomap_ros.pipeline.map_builder import MapBuilder
-from infomap_ros.team.moving import moved_map
+from infomap_ros.team.replica import moved_map
 from test.nodes.test_map_fusion import (
     CAMERA,
     COVARIANCE,

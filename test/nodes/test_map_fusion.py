@@ -39,11 +39,10 @@ from infomap_ros.messages.rows import decode_rows, encode_rows
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.message_types import RclpyMessageTypes
 from infomap_ros.nodes.map_fusion import MapFusionNode
-from infomap_ros.team.authentication import TeamKey
 from infomap_ros.team.config import TeamConfig
 from infomap_ros.team.member import TeamMember
-from infomap_ros.team.update import MapUpdate
-from infomap_ros.team.versions import version_at
+from infomap_ros.team.membership import TeamKey
+from infomap_ros.team.update import MapUpdate, version_at
 from infomap_ros.team.wire import decode_update, encode_update
 
 TYPES = RclpyMessageTypes()

@@ -13,7 +13,7 @@ from nav_msgs.srv import GetMap
 
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.mapping.files.octomap_file import write_bt, write_ot
-from infomap_ros.messages.products import OCTOMAP
+from infomap_ros.messages.encode import OCTOMAP
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.message_types import message_class
 

@@ -23,15 +23,14 @@ from infomap_ros.exploration.robot import Choice
 from infomap_ros.exploration.task import TaskConfig
 from infomap_ros.exploration.view_planner import ViewPlannerConfig
 from infomap_ros.geometry import CameraInfoRecord, StereoRig
-from infomap_ros.localization.filter.records import Fiducials
-from infomap_ros.localization.prediction.error_prediction import ErrorPrediction
-from infomap_ros.localization.prediction.ways import Ways
+from infomap_ros.localization.filter.config import Fiducials
+from infomap_ros.localization.prediction.error_prediction import ErrorPrediction, Ways
 from infomap_ros.messages import encode_camera_info
 from infomap_ros.messages.fiducials import encode_fiducials
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.next_best_view import NextBestViewNode, PlannedCameraConfig
-from infomap_ros.views.information.expected_information import expected_information
-from infomap_ros.views.information.information_config import InformationConfig
+from infomap_ros.views.information.view_information import expected_information
+from infomap_ros.views.information.view_query import InformationConfig
 
 from .rovers import BASELINE, CAMERA, FRAMES, TYPES, PaperRover, calibration, update_messages
 

@@ -12,8 +12,7 @@ from std_msgs.msg import String
 from infomap_ros.geometry import PoseRecord, make_transform, perturb_transform
 from infomap_ros.messages import encode_pose
 from infomap_ros.nodes.common.message_types import RclpyMessageTypes
-from infomap_ros.nodes.live.live_truth import LiveTruth
-from infomap_ros.nodes.live.pose_comparison import PoseComparison
+from infomap_ros.nodes.live.live_truth import LiveTruth, PoseComparison
 
 
 class FakeRun:

@@ -21,7 +21,7 @@ from infomap_ros.geometry import (
 )
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.nodes.live import bag_demo
-from infomap_ros.nodes.live.processes import NodeProcesses, private_graph
+from infomap_ros.nodes.live.live_graph import NodeProcesses, private_graph
 from infomap_ros.replay.bags.writer import BagWriter
 
 START, STEP, PAIRS = 1_700_000_000_000_000_000, 500_000_000, 6

@@ -23,9 +23,14 @@ from infomap_ros.messages.motions import encode_arm_trajectory, encode_base_path
 from infomap_ros.motion.route import ArmPath
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.message_types import RclpyMessageTypes
-from infomap_ros.nodes.driving import action_goal, arm_driver
-from infomap_ros.nodes.driving.action_types import FOLLOW_JOINT_TRAJECTORY, action_class
-from infomap_ros.nodes.driving.motion_result import MotionResult, Outcome, read_motion_result
+from infomap_ros.nodes.driving import action_motion, arm_driver
+from infomap_ros.nodes.driving.motion_result import (
+    FOLLOW_JOINT_TRAJECTORY,
+    MotionResult,
+    Outcome,
+    action_class,
+    read_motion_result,
+)
 from infomap_ros.nodes.robot_driver import RobotDriverNode
 
 from .controllers import PathController, TrajectoryController, VelocityController
@@ -224,7 +229,7 @@ def test_a_controller_that_refuses_to_stop_is_said_at_once(graph: Any) -> None:
 def test_a_server_that_never_answers_stops_the_others_and_is_stopped_when_it_does(
     graph: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(action_goal, "_ANSWER", 1.0)
+    monkeypatch.setattr(action_motion, "_ANSWER", 1.0)
     bench, waiting = ArmBench(graph), []
     server = bench.arm.server._server
     answer = server._execute_goal_request

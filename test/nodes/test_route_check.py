@@ -11,7 +11,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 
 from infomap_ros.exploration.records.choice_text import route_digest
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
-from infomap_ros.mapping.voxels.voxel_states import VoxelStates, information_of, put_states
+from infomap_ros.mapping.voxels.state import VoxelStates, information_of, put_states
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.explorer import ExplorerNode
 from infomap_ros.nodes.planning.exploration_status import read_status

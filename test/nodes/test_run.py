@@ -11,7 +11,7 @@ import pytest
 
 from infomap_ros import nodes
 from infomap_ros.nodes.common.interrupts import EXECUTABLES
-from infomap_ros.nodes.live.processes import private_graph
+from infomap_ros.nodes.live.live_graph import private_graph
 
 PROGRAM = """
 import time

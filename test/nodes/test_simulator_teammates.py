@@ -12,7 +12,7 @@ from infomap_ros.errors import ConfigError
 from infomap_ros.messages.motions import encode_base_path
 from infomap_ros.nodes.common.message_types import RclpyMessageTypes
 from infomap_ros.nodes.simulator import SimulatorNode
-from infomap_ros.simulation.multi_robot.shared_time import SharedTime
+from infomap_ros.simulation.multi_robot.turns import SharedTime
 
 SMALL = {
     "world": "office",

@@ -17,10 +17,9 @@ from infomap_ros.messages import encode_text
 from infomap_ros.messages.agents import decode_agent_texts, encode_agent
 from infomap_ros.motion.robot.urdf import hash_of_description
 from infomap_ros.nodes.common import qos
-from infomap_ros.team.agent_text import agent_from_text, agent_to_text
+from infomap_ros.team.agent_board import agent_from_text, agent_to_text
 from infomap_ros.team.agents import Agent
-from infomap_ros.team.authentication import NOT_AUTHENTIC, TeamKey
-from infomap_ros.team.membership import NOT_LISTED
+from infomap_ros.team.membership import NOT_AUTHENTIC, NOT_LISTED, TeamKey
 
 from .test_map_fusion import SECOND, START, TYPES, Bench, as_replica, cloud, expected_map, pose
 from .test_next_best_view import Stage, status

@@ -21,9 +21,9 @@ def kernels():
 MAP_FUSION = """
 from infomap_ros.geometry import PinholeCamera, PlacedSolid, PointCloudRecord, PoseRecord, Sphere
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
-from infomap_ros.mapping.files.projection import ProjectionConfig, project_map
-from infomap_ros.nodes.fusion.map_contents import voxel_map_rows
-from infomap_ros.nodes.fusion.map_warm_up import warm_up
+from infomap_ros.mapping.files.export import ProjectionConfig, project_map
+from infomap_ros.nodes.fusion.map_outputs import voxel_map_rows
+from infomap_ros.nodes.fusion.map_keeper import warm_up
 from infomap_ros.nodes.common.message_types import RclpyMessageTypes
 from infomap_ros.pipeline.map_builder import MapBuilder
 from infomap_ros.pipeline.scan_synchronizer import Scan

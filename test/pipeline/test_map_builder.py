@@ -20,7 +20,7 @@ from infomap_ros.geometry import (
 from infomap_ros.geometry.assumed_pose import AssumedPoseConfig
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.mapping.correction.scan_store import ScanStoreConfig
-from infomap_ros.messages.keyframes import KeyframePoses
+from infomap_ros.messages.motions import KeyframePoses
 from infomap_ros.pipeline.map_builder import MapBuilder
 from infomap_ros.pipeline.scan_synchronizer import Scan
 

@@ -30,8 +30,12 @@ from infomap_ros.pipeline.scan_synchronizer import LocatedPoses, ScanSynchronize
 from infomap_ros.pipeline.view_estimator import StereoViewEstimator
 from infomap_ros.replay.bags.reader import BagReader
 from infomap_ros.replay.bags.writer import BagWriter
-from infomap_ros.replay.localizing.localize_inputs import LocalizeOptions, find_localize_inputs
-from infomap_ros.replay.localizing.localize_run import make_localization, records_of
+from infomap_ros.replay.localizing.localize_run import (
+    LocalizeOptions,
+    find_localize_inputs,
+    make_localization,
+    records_of,
+)
 from infomap_ros.replay.mapping.map_inputs import CameraPoses
 from infomap_ros.stereo import StereoConfig
 

@@ -11,10 +11,9 @@ import pytest
 from infomap_ros.errors import SensorFaultError
 from infomap_ros.geometry import PinholeCamera, StereoRig
 from infomap_ros.geometry.resources import find_share
-from infomap_ros.pipeline import stereo_health as health
+from infomap_ros.pipeline import range_estimator
 from infomap_ros.pipeline.image_synchronizer import ImageSynchronizer
-from infomap_ros.pipeline.range_estimator import PairRectifier
-from infomap_ros.pipeline.stereo_health import StereoHealth
+from infomap_ros.pipeline.range_estimator import PairRectifier, StereoHealth
 from infomap_ros.replay.bags.reader import BagReader
 from infomap_ros.stereo import StereoConfig
 
@@ -76,16 +75,22 @@ def scaled(pair: Pair, factor: float) -> Pair:
 
 
 FAULTS: dict[str, tuple[Fault, str]] = {
-    "right = left": (lambda k, p: (p[k][0], p[k][0].copy()), health.SAME),
-    "swapped": (lambda k, p: (p[k][1], p[k][0]), health.SWAPPED),
-    "rows off": (lambda k, p: (p[k][0], np.roll(p[k][1], 2, 0)), health.ROWS_OFF),
-    "rows far off": (lambda k, p: (p[k][0], np.roll(p[k][1], -60, 0)), health.UNLIKE),
-    "right covered": (lambda k, p: (p[k][0], p[k][1] // 100), health.COVERED.format("right")),
-    "left covered": (lambda k, p: (p[k][0] // 100, p[k][1]), health.COVERED.format("left")),
-    "right frozen": (lambda k, p: (p[k][0], p[20][1]), health.FROZEN.format("right")),
-    "left frozen": (lambda k, p: (p[20][0], p[k][1]), health.FROZEN.format("left")),
-    "flicker": (lambda k, p: scaled(p[k], 0.6 if k % 2 else 1.0), health.FLICKER),
-    "mirrored": (lambda k, p: (p[k][0], p[k][1][:, ::-1].copy()), health.UNLIKE),
+    "right = left": (lambda k, p: (p[k][0], p[k][0].copy()), range_estimator.SAME),
+    "swapped": (lambda k, p: (p[k][1], p[k][0]), range_estimator.SWAPPED),
+    "rows off": (lambda k, p: (p[k][0], np.roll(p[k][1], 2, 0)), range_estimator.ROWS_OFF),
+    "rows far off": (lambda k, p: (p[k][0], np.roll(p[k][1], -60, 0)), range_estimator.UNLIKE),
+    "right covered": (
+        lambda k, p: (p[k][0], p[k][1] // 100),
+        range_estimator.COVERED.format("right"),
+    ),
+    "left covered": (
+        lambda k, p: (p[k][0] // 100, p[k][1]),
+        range_estimator.COVERED.format("left"),
+    ),
+    "right frozen": (lambda k, p: (p[k][0], p[20][1]), range_estimator.FROZEN.format("right")),
+    "left frozen": (lambda k, p: (p[20][0], p[k][1]), range_estimator.FROZEN.format("left")),
+    "flicker": (lambda k, p: scaled(p[k], 0.6 if k % 2 else 1.0), range_estimator.FLICKER),
+    "mirrored": (lambda k, p: (p[k][0], p[k][1][:, ::-1].copy()), range_estimator.UNLIKE),
 }
 
 
@@ -109,7 +114,10 @@ def test_a_camera_that_is_a_pair_late_is_noticed(late: int) -> None:
     assert said[:20] == [""] * 20
     noticed = next(k for k, text in enumerate(said) if text)
     assert noticed < 40 and all(said[noticed:45])
-    assert health.LATE.format(("left", "right")[late]) in said or health.ROWS_OFF in said
+    assert (
+        range_estimator.LATE.format(("left", "right")[late]) in said
+        or range_estimator.ROWS_OFF in said
+    )
     assert said[-3:] == [""] * 3
 
 

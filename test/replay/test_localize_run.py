@@ -12,11 +12,14 @@ from typer.testing import CliRunner
 from infomap_ros.cli import app
 from infomap_ros.errors import BagError
 from infomap_ros.replay.bags.reader import BagReader
-from infomap_ros.replay.localizing.localize_inputs import LocalizeInputConfig, LocalizeOptions
-from infomap_ros.replay.localizing.localize_run import LocalizeRun
+from infomap_ros.replay.localizing.localize_run import (
+    LocalizeInputConfig,
+    LocalizeOptions,
+    LocalizeRun,
+)
+from infomap_ros.replay.mapped_bag import open_recording
 from infomap_ros.replay.mapping.map_inputs import MapInputConfig, MapOptions
 from infomap_ros.replay.mapping.map_run import MapRun
-from infomap_ros.replay.recording import open_recording
 
 from .moving_camera import START, STEP, WALL, pose, write
 

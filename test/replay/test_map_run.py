@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from infomap_ros.cli.settings import all_settings, with_settings
+from infomap_ros.cli.command_options import all_settings, with_settings
 from infomap_ros.errors import BagError, CapacityError, ConfigError
 from infomap_ros.geometry import (
     CameraInfoRecord,

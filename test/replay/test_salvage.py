@@ -14,8 +14,8 @@ from backports import zstd
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
 
 from infomap_ros.errors import BagError
-from infomap_ros.replay.bags.bounds import unpacked_chunk
 from infomap_ros.replay.bags.reader import BagReader, BagRecord
+from infomap_ros.replay.bags.source import unpacked_chunk
 from infomap_ros.replay.bags.writer import BagWriter
 
 from .bags import FRAMES, sample_records, write_rosbag1, write_rosbag2

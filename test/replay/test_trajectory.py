@@ -14,11 +14,11 @@ from infomap_ros.geometry import (
     TransformRecord,
     make_transform,
 )
-from infomap_ros.localization.filter.records import KeptPoses
+from infomap_ros.localization.filter.config import KeptPoses
 from infomap_ros.motion.robot.robot_model import RobotModel
 from infomap_ros.pipeline.robot_motion import RobotMotion
-from infomap_ros.replay.localizing.trajectory import TrajectoryRecorder
-from infomap_ros.replay.sequences.registration import ColorCamera, register_depth
+from infomap_ros.replay.localizing.localize_run import TrajectoryRecorder
+from infomap_ros.replay.sequences.frame_files import ColorCamera, register_depth
 
 
 def turned(yaw: float, x: float, y: float = 0.0) -> np.ndarray:

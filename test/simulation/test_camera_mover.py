@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from infomap_ros.cli.settings import with_settings
+from infomap_ros.cli.command_options import with_settings
 from infomap_ros.exploration.loop import camera_error
 from infomap_ros.exploration.robot import Choice, Interrupted, Motion, RobotState
 from infomap_ros.simulation.exploring.exploration_run import ExplorationOptions, ExplorationRun

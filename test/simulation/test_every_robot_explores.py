@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from infomap_ros.cli.settings import with_settings
+from infomap_ros.cli.command_options import with_settings
 from infomap_ros.exploration.loop import EndReason
 from infomap_ros.simulation.exploring.exploration_run import ExplorationOptions, ExplorationRun
 from infomap_ros.simulation.robots.robot_file import RobotFile

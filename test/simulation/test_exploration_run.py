@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from infomap_ros.cli.settings import with_settings
+from infomap_ros.cli.command_options import with_settings
 from infomap_ros.exploration.loop import EndReason
-from infomap_ros.exploration.records.log_records import Progress
 from infomap_ros.exploration.records.recorded_run import RecordedRun, read_run
+from infomap_ros.exploration.records.run_log import Progress
 from infomap_ros.exploration.task import TaskConfig
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.simulation.exploring.exploration_run import (

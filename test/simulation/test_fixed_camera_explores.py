@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from infomap_ros.cli.command_options import with_settings
 from infomap_ros.cli.robot_command import robot
-from infomap_ros.cli.settings import with_settings
 from infomap_ros.exploration.loop import EndReason
-from infomap_ros.exploration.records.log_records import Progress
 from infomap_ros.exploration.records.recorded_run import read_run
+from infomap_ros.exploration.records.run_log import Progress
 from infomap_ros.simulation.exploring.exploration_run import ExplorationOptions, ExplorationRun
 from infomap_ros.simulation.robots.robot_file import RobotFile
 from test.motion.test_fixed_camera import fixed_rover

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from infomap_ros.errors import ConfigError
-from infomap_ros.simulation.cameras.image_sensor import ImageSensor, ImageSensorConfig
+from infomap_ros.simulation.cameras.stereo_camera import ImageSensor, ImageSensorConfig
 
 
 def test_noise_is_shot_noise_plus_read_noise(rng: np.random.Generator) -> None:

@@ -7,7 +7,7 @@ from scipy.stats import chi2
 
 from infomap_ros.geometry import make_transform
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.simulation.body.odometry import Odometry, OdometryConfig
+from infomap_ros.simulation.body.wheel_odometry import Odometry, OdometryConfig
 
 
 def _poses() -> list[FloatArray]:

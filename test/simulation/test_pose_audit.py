@@ -8,7 +8,7 @@ from infomap_ros.geometry import PoseRecord, invert_transform, make_transform, p
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.pipeline.range_estimator import RangeMeasurement
 from infomap_ros.pipeline.scan_synchronizer import Scan
-from infomap_ros.simulation.exploring.pose_audit import PoseAudit, mean_nees
+from infomap_ros.simulation.exploring.truth import PoseAudit, mean_nees
 from infomap_ros.simulation.exploring.visible_surface import map_errors, surface_coverage
 from infomap_ros.simulation.simulator import Simulator
 from infomap_ros.simulation.worlds.builder import World

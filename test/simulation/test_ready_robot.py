@@ -14,7 +14,7 @@ import trimesh
 from infomap_ros.errors import ConfigError, RobotModelError
 from infomap_ros.geometry.resources import find_share
 from infomap_ros.motion.robot.robot_model import RobotModel
-from infomap_ros.simulation.body.mended_inertias import mend_inertias
+from infomap_ros.simulation.body.extended_description import mend_inertias
 from infomap_ros.simulation.body.robot import find_description, load_robot, read_description
 from infomap_ros.simulation.body.robot_setup import RobotSetupConfig
 from infomap_ros.simulation.robots.ready_robot import ready_robot

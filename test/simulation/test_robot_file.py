@@ -7,14 +7,13 @@ from pathlib import Path
 import pytest
 import yaml
 
-from infomap_ros.cli.settings import with_settings
+from infomap_ros.cli.command_options import with_settings
 from infomap_ros.errors import ConfigError, ResourceError
 from infomap_ros.geometry.resources import find_share
 from infomap_ros.simulation.body.robot import find_description, read_description
 from infomap_ros.simulation.exploring.exploration_run import ExplorationOptions
 from infomap_ros.simulation.robots.ready_robot import ready_robot
-from infomap_ros.simulation.robots.robot_file import RobotFile
-from infomap_ros.simulation.robots.robot_parameters import PARAMETERS
+from infomap_ros.simulation.robots.robot_file import PARAMETERS, RobotFile
 
 READY = sorted(path.stem for path in find_share("config/robots").glob("*.yaml"))
 

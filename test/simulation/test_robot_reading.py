@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 import pytest
 
+from infomap_ros.cli.command_options import with_settings
 from infomap_ros.cli.robot_command import robot
-from infomap_ros.cli.settings import with_settings
 from infomap_ros.errors import RobotModelError
 from infomap_ros.geometry.resources import find_share
 from infomap_ros.motion.base.vehicle import Vehicle

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from infomap_ros.cli.settings import with_settings
+from infomap_ros.cli.command_options import with_settings
 from infomap_ros.errors import InvalidInputError
 from infomap_ros.exploration.loop import EndReason
 from infomap_ros.exploration.records.recorded_run import read_run
@@ -23,8 +23,8 @@ from infomap_ros.simulation.exploring.exploration_run import (
     map_frame,
     task_in,
 )
-from infomap_ros.simulation.exploring.pose_audit import PoseAudit
 from infomap_ros.simulation.exploring.simulated_robot import SimulatedRobot, SimulatedRobotConfig
+from infomap_ros.simulation.exploring.truth import PoseAudit
 from infomap_ros.simulation.exploring.visible_surface import map_errors
 from infomap_ros.simulation.worlds.scenes import make_world
 

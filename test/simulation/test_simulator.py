@@ -12,11 +12,11 @@ from infomap_ros.geometry import PinholeCamera, invert_transform, make_transform
 from infomap_ros.motion.robot.robot_model import RobotModel
 from infomap_ros.simulation.body.drive_train import planar
 from infomap_ros.simulation.body.robot_setup import RobotSetupConfig
-from infomap_ros.simulation.cameras.depth_eye import DepthEye, DepthEyeConfig
+from infomap_ros.simulation.cameras.eyes import DepthEye, DepthEyeConfig
 from infomap_ros.simulation.cameras.stereo_camera import StereoCameraConfig
 from infomap_ros.simulation.simulator import Simulator, SimulatorConfig
 from infomap_ros.simulation.worlds.builder import SceneBuilder, World
-from infomap_ros.simulation.worlds.placing import upright
+from infomap_ros.simulation.worlds.rocks import upright
 from infomap_ros.simulation.worlds.terrain import Terrain
 
 ARM = ("arm_pan_joint", "arm_shoulder_joint", "arm_elbow_joint", "arm_wrist_joint")

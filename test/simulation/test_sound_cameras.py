@@ -9,11 +9,12 @@ import pytest
 
 from infomap_ros.errors import SensorFaultError
 from infomap_ros.geometry import make_transform
-from infomap_ros.pipeline import stereo_health as health
-from infomap_ros.pipeline.stereo_health import StereoHealth
-from infomap_ros.simulation.cameras.image_sensor import ImageSensor, ImageSensorConfig
+from infomap_ros.pipeline import range_estimator
+from infomap_ros.pipeline.range_estimator import StereoHealth
 from infomap_ros.simulation.cameras.stereo_camera import (
     DRAWN_FAST,
+    ImageSensor,
+    ImageSensorConfig,
     StereoCamera,
     StereoCameraConfig,
 )
@@ -28,9 +29,9 @@ CAMERA = StereoCamera(
     BASELINE,
 )
 FAULTS: dict[str, Callable[[Pair], Pair]] = {
-    health.UNLIKE: lambda pair: (pair[0], pair[1][:, ::-1].copy()),
-    health.SWAPPED: lambda pair: (pair[1], pair[0]),
-    health.ROWS_OFF: lambda pair: (pair[0], np.roll(pair[1], 2, 0)),
+    range_estimator.UNLIKE: lambda pair: (pair[0], pair[1][:, ::-1].copy()),
+    range_estimator.SWAPPED: lambda pair: (pair[1], pair[0]),
+    range_estimator.ROWS_OFF: lambda pair: (pair[0], np.roll(pair[1], 2, 0)),
 }
 
 

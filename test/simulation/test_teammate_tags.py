@@ -8,9 +8,14 @@ import pytest
 from infomap_ros.errors import RobotModelError
 from infomap_ros.geometry import invert_transform, make_transform, perturb_transform
 from infomap_ros.localization.fiducials.range_view import StereoView
-from infomap_ros.localization.target.map_alignment import Alignment, align_by_sighting
-from infomap_ros.localization.target.robot_tags import RobotTagFinder, tag_pose
-from infomap_ros.localization.target.team_alignment import TeamAlignment, TeamTagsConfig
+from infomap_ros.localization.target.team_alignment import (
+    Alignment,
+    RobotTagFinder,
+    TeamAlignment,
+    TeamTagsConfig,
+    align_by_sighting,
+    tag_pose,
+)
 from infomap_ros.simulation.body.robot_body import add_tag_plates
 from infomap_ros.simulation.cameras.stereo_camera import StereoCameraConfig
 from infomap_ros.simulation.simulator import Simulator, SimulatorConfig

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from infomap_ros.exploration.robot import RobotState
-from infomap_ros.exploration.team.team_bodies import TeamBodies
+from infomap_ros.exploration.team.teammate_places import TeamBodies
 from infomap_ros.exploration.team.teamwork import Presence, Teamwork
 from infomap_ros.geometry import PlacedSolid, make_transform, points_inside
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig

@@ -11,9 +11,9 @@ from infomap_ros.motion.robot.robot_model import RobotModel
 from infomap_ros.simulation.body.robot import read_description
 from infomap_ros.simulation.body.robot_setup import RobotSetupConfig
 from infomap_ros.simulation.body.trial import measure_robot
+from infomap_ros.simulation.robots.home_posture import tucked_arms
 from infomap_ros.simulation.robots.ready_robot import ready_robot
 from infomap_ros.simulation.robots.robot_file import RobotFile
-from infomap_ros.simulation.robots.tucked_arms import tucked_arms
 
 
 def model_of(name: str) -> tuple[RobotModel, RobotSetupConfig, str]:

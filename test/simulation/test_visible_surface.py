@@ -17,8 +17,7 @@ from infomap_ros.geometry import (
     transform_points,
 )
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
-from infomap_ros.simulation.exploring.pose_audit import audit_pose
-from infomap_ros.simulation.exploring.truth import TrueSurface
+from infomap_ros.simulation.exploring.truth import TrueSurface, audit_pose
 from infomap_ros.simulation.exploring.visible_surface import (
     ReachableViewsConfig,
     VisibleSurfaceConfig,

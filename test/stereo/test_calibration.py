@@ -12,8 +12,13 @@ from infomap_ros.cli.calibrate_noise_command import draw_noise_fit
 from infomap_ros.errors import CalibrationError, InvalidInputError
 from infomap_ros.stereo import StereoConfig
 from infomap_ros.stereo.calibration import calibrate_noise
-from infomap_ros.stereo.evaluation import GAUSSIAN_SHARES, PairErrors, measure_errors
-from infomap_ros.stereo.ground_truth import StereoPair, load_pairs
+from infomap_ros.stereo.evaluation import (
+    GAUSSIAN_SHARES,
+    PairErrors,
+    StereoPair,
+    load_pairs,
+    measure_errors,
+)
 
 
 @pytest.fixture(scope="module")

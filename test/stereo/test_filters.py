@@ -5,7 +5,7 @@ import pytest
 
 from infomap_ros.geometry import PinholeCamera, StereoRig
 from infomap_ros.stereo import StereoConfig
-from infomap_ros.stereo.bands import RowBands
+from infomap_ros.stereo.images import RowBands
 from infomap_ros.stereo.sensor import drop_inconsistent, drop_speckles, edge_free
 
 INVALID = -16

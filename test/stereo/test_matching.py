@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from infomap_ros.errors import CalibrationError
 from infomap_ros.geometry import PinholeCamera, StereoRig
 from infomap_ros.stereo import StereoConfig
-from infomap_ros.stereo.ground_truth import load_pairs
+from infomap_ros.stereo.evaluation import load_pairs
 from infomap_ros.stereo.matching import DisparityMatcher, disparity_range
 
 

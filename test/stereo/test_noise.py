@@ -7,8 +7,7 @@ import pytest
 
 from infomap_ros.geometry import PinholeCamera, StereoRig
 from infomap_ros.stereo import StereoConfig
-from infomap_ros.stereo.assembly import assemble
-from infomap_ros.stereo.bands import RowBands
+from infomap_ros.stereo.images import RowBands
 from infomap_ros.stereo.noise import (
     match_terms,
     range_from_disparity,
@@ -16,6 +15,7 @@ from infomap_ros.stereo.noise import (
     sigma_from_terms,
 )
 from infomap_ros.stereo.quality import MatchQuality
+from infomap_ros.stereo.range_cloud import assemble
 
 CONFIG = StereoConfig(min_depth=0.1, max_depth=1000.0, max_relative_sigma=0.3)
 OFFSET = 12.0

@@ -13,7 +13,7 @@ import pytest
 
 from infomap_ros.errors import ConfigError
 from infomap_ros.stereo import StereoConfig, StereoRangeSensor
-from infomap_ros.stereo.bands import RowBands
+from infomap_ros.stereo.images import RowBands
 from infomap_ros.stereo.quality import MatchQuality, is_determined, refine
 from test.stereo.conftest import make_rig
 
@@ -100,7 +100,7 @@ def test_kernels_run_uncompiled_with_the_same_result(rng, tmp_path):
     script = (
         "import sys, numpy as np\n"
         "from infomap_ros.stereo import StereoConfig\n"
-        "from infomap_ros.stereo.bands import RowBands\n"
+        "from infomap_ros.stereo.images import RowBands\n"
         "from infomap_ros.stereo.noise import sigma_from_quality\n"
         "from infomap_ros.stereo.quality import refine\n"
         "scene = list(np.load(sys.argv[1]).values())\n"

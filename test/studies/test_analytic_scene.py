@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from infomap_ros.geometry import perturb_transform, transform_points
-from infomap_ros.studies.analytic_scene import random_scene, random_view
-from infomap_ros.studies.noisy_scans import CAMERA, simulate_scans
+from infomap_ros.studies.noisy_scans import CAMERA, random_scene, random_view, simulate_scans
 
 
 @pytest.fixture(params=range(4))

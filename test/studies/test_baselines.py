@@ -8,13 +8,17 @@ from typing import cast
 import numpy as np
 import pytest
 
-from infomap_ros.studies.baselines.frontiers import find_frontiers, frontier_cells, level_views
-from infomap_ros.studies.baselines.nearest_frontier import NearestFrontier
-from infomap_ros.studies.baselines.proposals import told_by
-from infomap_ros.studies.baselines.tree import grow_tree
+from infomap_ros.studies.baselines.frontiers import (
+    NearestFrontier,
+    find_frontiers,
+    frontier_cells,
+    level_views,
+    told_by,
+)
+from infomap_ros.studies.baselines.view_tree import grow_tree
 from infomap_ros.studies.planar.explore import ExplorationConfig, PlanarExplorer
-from infomap_ros.studies.planar.generators import make_world
 from infomap_ros.studies.planar.settings import planar_choice
+from infomap_ros.studies.planar.world import make_world
 from infomap_ros.views.ranking.options import Options
 from infomap_ros.views.ranking.rating import Ratings
 from infomap_ros.views.sampling.surroundings import Surroundings, survey

@@ -10,9 +10,8 @@ import pytest
 from scipy import stats
 
 from infomap_ros.errors import InvalidInputError
-from infomap_ros.studies.common.bands import band, curve_band, ratio_band
-from infomap_ros.studies.common.runs import Kept, run_all
-from infomap_ros.studies.common.tables import markdown
+from infomap_ros.studies.common.figure_style import band, curve_band, ratio_band
+from infomap_ros.studies.common.runs import Kept, markdown, run_all
 
 
 @dataclass(frozen=True, eq=False)

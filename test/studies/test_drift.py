@@ -14,14 +14,15 @@ from infomap_ros.cli import app
 from infomap_ros.geometry import invert_transform, transform_points
 from infomap_ros.studies.common.runs import Kept
 from infomap_ros.studies.drift import (
+    METHODS,
     DriftConfig,
     DriftPanel,
+    WalkErrors,
+    draw_drift,
     drift_rows,
     panels_of,
     tasks_of,
 )
-from infomap_ros.studies.drift_figure import draw_drift
-from infomap_ros.studies.drift_walk import METHODS, WalkErrors
 from infomap_ros.studies.fiducial_walk import CAMERA, WalkConfig, walk
 
 SMALL = DriftConfig(runs=6, distances=(1.1,), redundancies=(2,), seed=3, walk=WalkConfig(steps=15))

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from infomap_ros.mapping import OccupancyThresholds, VoxelMap, VoxelMapConfig
-from infomap_ros.mapping.voxels.voxel_states import put_states, unknown_states
+from infomap_ros.mapping.voxels.state import put_states, unknown_states
 from infomap_ros.studies.common.flight import NO_WAY, FreeFlight
 from test.views.rooms import facing
 

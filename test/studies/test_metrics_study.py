@@ -14,19 +14,19 @@ from infomap_ros.cli import app
 from infomap_ros.cli.study_metrics import values_by_share
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.studies.common.runs import Kept
-from infomap_ros.studies.metrics.metric_run import MetricRun, what_scans_tell
 from infomap_ros.studies.metrics.metrics_study import (
     OWN,
+    MetricRun,
     MetricsStudyConfig,
     complete,
     difference,
     overview,
     rows_of,
     tasks_of,
+    what_scans_tell,
 )
 from infomap_ros.studies.planar.explore import ExplorationConfig, explore
-from infomap_ros.studies.planar.generators import make_world
-from infomap_ros.studies.planar.sensor import SensorConfig, level_pose, take_scan
+from infomap_ros.studies.planar.world import SensorConfig, level_pose, make_world, take_scan
 
 PRINTED = ("scene_entropy", "stretched_scene_entropy", "weighted_scene_entropy")
 

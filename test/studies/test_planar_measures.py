@@ -11,16 +11,16 @@ from scipy import stats
 
 from infomap_ros.cli.study_planar import relations, way_ratio
 from infomap_ros.studies.baselines.frontier_tour import open_tour, tour_length
-from infomap_ros.studies.common.bands import band, curve_band
+from infomap_ros.studies.common.figure_style import band, curve_band
 from infomap_ros.studies.planar.explore import Exploration, ExplorationConfig
-from infomap_ros.studies.planar.measures import (
+from infomap_ros.studies.planar.planar_study import BASELINES, Row, compare, savings_of
+from infomap_ros.studies.planar.report import draw_savings
+from infomap_ros.studies.planar.study_config import (
     area_under_coverage,
     distance_to,
     fraction_at,
     saving,
 )
-from infomap_ros.studies.planar.planar_study import BASELINES, Row, compare, savings_of
-from infomap_ros.studies.planar.report import draw_savings
 from infomap_ros.studies.planar.tasks import Record, Task, WorldName
 
 DISTANCE = np.array([0.0, 0.0, 10.0, 30.0])

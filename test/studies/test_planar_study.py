@@ -22,8 +22,8 @@ from infomap_ros.studies.planar.explore import (
     Exploration,
     ExplorationConfig,
     explore,
+    explore_together,
 )
-from infomap_ros.studies.planar.generators import make_world
 from infomap_ros.studies.planar.planar_study import (
     BASELINES,
     PlanarStudyConfig,
@@ -31,10 +31,14 @@ from infomap_ros.studies.planar.planar_study import (
     quick,
     tasks_of,
 )
-from infomap_ros.studies.planar.sensor import SensorConfig, level_pose, take_scan
 from infomap_ros.studies.planar.tasks import Record, run_tasks
-from infomap_ros.studies.planar.team_explore import explore_together
-from infomap_ros.studies.planar.world import PlanarWorld
+from infomap_ros.studies.planar.world import (
+    PlanarWorld,
+    SensorConfig,
+    level_pose,
+    make_world,
+    take_scan,
+)
 from infomap_ros.views.information.view_information import ExpectedInformation
 from infomap_ros.views.ranking.options import Options
 from infomap_ros.views.ranking.rating import Ratings

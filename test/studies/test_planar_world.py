@@ -10,10 +10,15 @@ import pytest
 
 from infomap_ros.errors import ConfigError, InvalidInputError
 from infomap_ros.mapping import VoxelMap
-from infomap_ros.studies.planar.generators import KINDS, make_world
-from infomap_ros.studies.planar.sensor import SensorConfig, level_pose, take_scan
 from infomap_ros.studies.planar.tasks import read_floor_plan
-from infomap_ros.studies.planar.world import PlanarWorld
+from infomap_ros.studies.planar.world import (
+    KINDS,
+    PlanarWorld,
+    SensorConfig,
+    level_pose,
+    make_world,
+    take_scan,
+)
 
 
 def cell_world(rows: list[str], start: tuple[float, float]) -> PlanarWorld:

@@ -17,8 +17,7 @@ from infomap_ros.geometry import PinholeCamera, make_transform
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.studies.common.runs import Kept
-from infomap_ros.studies.rover.explore import RoverExploration, RoverTask
-from infomap_ros.studies.rover.rasters import OneWayRaster, SweepRaster
+from infomap_ros.studies.rover.explore import OneWayRaster, RoverExploration, RoverTask, SweepRaster
 from infomap_ros.studies.rover.rover_study import (
     OWN,
     RoverStudyConfig,

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from infomap_ros.studies.team.team_lag import LagMeter
-from infomap_ros.studies.team.team_network import Radio, TeamNetwork
+from infomap_ros.studies.team.team_network import LagMeter, Radio, TeamNetwork
 from infomap_ros.team.config import TeamConfig
 
 

@@ -12,13 +12,17 @@ import pytest
 from infomap_ros.errors import InfomapError, InvalidInputError, UpdateRefusedError
 from infomap_ros.geometry import PinholeCamera, make_transform, perturb_transform
 from infomap_ros.motion.robot.urdf import hash_of_description
-from infomap_ros.team.agent_board import AgentBoard
-from infomap_ros.team.agent_text import agent_from_text, agent_to_text
-from infomap_ros.team.agents import Agent
-from infomap_ros.team.agents_config import AgentBoardConfig
-from infomap_ros.team.authentication import NOT_AUTHENTIC, TeamKey
-from infomap_ros.team.limits import MOST_ROBOTS
-from infomap_ros.team.membership import BACKWARDS, NOT_LISTED, TOO_MANY, TWO_OF_A_NAME
+from infomap_ros.team.agent_board import AgentBoard, agent_from_text, agent_to_text
+from infomap_ros.team.agents import Agent, AgentBoardConfig
+from infomap_ros.team.config import MOST_ROBOTS
+from infomap_ros.team.membership import (
+    BACKWARDS,
+    NOT_AUTHENTIC,
+    NOT_LISTED,
+    TOO_MANY,
+    TWO_OF_A_NAME,
+    TeamKey,
+)
 
 LENS = PinholeCamera(640, 480, 500.0, 501.0, 319.5, 239.5)
 KEY = TeamKey(b"a secret of sixteen bytes")

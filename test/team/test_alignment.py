@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from infomap_ros.geometry import PinholeCamera, make_transform, transform_points
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.team.member import TeamMember
-from infomap_ros.team.moving import moved_map
+from infomap_ros.team.replica import moved_map
 
 CONFIG = VoxelMapConfig(voxel_size=0.1, max_range=4.0)
 CAMERA = PinholeCamera(width=64, height=48, fx=50.0, fy=50.0, cx=31.5, cy=23.5)

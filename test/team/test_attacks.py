@@ -11,22 +11,26 @@ import pytest
 from infomap_ros.errors import CapacityError, InfomapError, UpdateRefusedError
 from infomap_ros.mapping import SHARED_LOG_ODDS_LIMIT, VoxelMap, VoxelMapConfig
 from infomap_ros.mapping.voxels.changes import changed_blocks
-from infomap_ros.team.authentication import TeamKey
-from infomap_ros.team.config import TeamConfig
-from infomap_ros.team.digest import SUMMARY_ROW, CellDigest, Request, Summary, decode_request
-from infomap_ros.team.freshness import REPEATED
-from infomap_ros.team.limits import (
+from infomap_ros.team.config import (
     MISSED_FOR,
     MOST_MISSED,
     MOST_ROBOTS,
     MOST_TRIES,
     ROOM_PERIOD,
+    TeamConfig,
+)
+from infomap_ros.team.digest import (
+    REPEATED,
+    SUMMARY_ROW,
+    CellDigest,
+    Request,
+    Summary,
+    decode_request,
 )
 from infomap_ros.team.member import TeamMember
-from infomap_ros.team.membership import AHEAD, TELLS_ITSELF, TOO_MANY
+from infomap_ros.team.membership import AHEAD, TELLS_ITSELF, TOO_MANY, TeamKey
 from infomap_ros.team.replica import MapReplica
-from infomap_ros.team.sent import message_bytes
-from infomap_ros.team.update import MapUpdate
+from infomap_ros.team.update import MapUpdate, message_bytes
 from infomap_ros.team.wire import decode_update, encode_update
 
 CONFIG = VoxelMapConfig(voxel_size=0.1)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from infomap_ros.errors import CapacityError
-from infomap_ros.team.code_table import empty_codes, with_code_room
+from infomap_ros.team.gaussian_code import empty_codes, with_code_room
 
 
 def test_more_blocks_than_an_owner_can_number_are_refused():

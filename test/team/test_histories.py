@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from infomap_ros.errors import UpdateRefusedError
 from infomap_ros.mapping import NOT_OBSERVED, VoxelMap, VoxelMapConfig
 from infomap_ros.team.config import TeamConfig
-from infomap_ros.team.freshness import REPEATED
+from infomap_ros.team.digest import REPEATED
 from infomap_ros.team.member import TeamMember
 from infomap_ros.team.membership import TELLS_ITSELF, TWO_OF_A_NAME
 from infomap_ros.team.update import MapUpdate

@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 
 from infomap_ros.errors import InvalidInputError, UpdateRefusedError
-from infomap_ros.team.authentication import NOT_AUTHENTIC, TeamKey
 from infomap_ros.team.membership import (
     AHEAD,
     BACKWARDS,
+    NOT_AUTHENTIC,
     NOT_LISTED,
     TWO_OF_A_NAME,
     Membership,
+    TeamKey,
 )
 from infomap_ros.team.message_header import dtype_with_header
 from infomap_ros.team.update import MapUpdate

@@ -15,8 +15,8 @@ from infomap_ros.geometry import PinholeCamera, PoseUncertainty
 from infomap_ros.geometry.pose_uncertainty import point_covariances
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.mapping.voxels.keys import unpack
+from infomap_ros.mapping.voxels.state import VoxelStates, put_states
 from infomap_ros.mapping.voxels.surface import records_of
-from infomap_ros.mapping.voxels.voxel_states import VoxelStates, put_states
 from infomap_ros.team.merging import NamedMap, _sum_of, merge_maps
 
 from ..mapping.scenes import Scene, look_at

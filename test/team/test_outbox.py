@@ -14,8 +14,7 @@ from infomap_ros.team.contribution_kernels import unpack_keys
 from infomap_ros.team.member import TeamMember
 from infomap_ros.team.message_header import dtype_with_header
 from infomap_ros.team.priority import priority_of_changes
-from infomap_ros.team.sent import SentMessages
-from infomap_ros.team.update import MapUpdate
+from infomap_ros.team.update import MapUpdate, SentMessages
 from infomap_ros.team.wire import decode_update
 
 CONFIG = VoxelMapConfig(voxel_size=0.1, max_range=3.0)

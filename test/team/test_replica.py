@@ -19,8 +19,7 @@ from infomap_ros.mapping import (
 )
 from infomap_ros.mapping.voxels.queries import voxel_of
 from infomap_ros.team.replica import MapReplica
-from infomap_ros.team.update import MapUpdate
-from infomap_ros.team.versions import next_version
+from infomap_ros.team.update import MapUpdate, next_version
 from infomap_ros.team.wire import decode_update, encode_update
 
 SIZE = 0.05

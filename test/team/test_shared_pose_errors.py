@@ -11,8 +11,7 @@ from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.team.config import TeamConfig
 from infomap_ros.team.member import TeamMember
-from infomap_ros.team.moving import moved_map
-from infomap_ros.team.replica import MapReplica
+from infomap_ros.team.replica import MapReplica, moved_map
 from infomap_ros.team.wire import decode_update
 
 RANGE = 0.004

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from infomap_ros.team.versions import is_newer, next_version, version_at
+from infomap_ros.team.update import is_newer, next_version, version_at
 
 LAST = 2**32 - 1
 VERSIONS = st.integers(1, LAST)

@@ -20,7 +20,7 @@ from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.motion.robot.robot_model import RobotModel
 from infomap_ros.viewer import LivePage, PageConfig
 from infomap_ros.viewer.exploration_display import LogDisplay
-from infomap_ros.viewer.interest_box import InterestBox
+from infomap_ros.viewer.run_panel import InterestBox
 
 ROVER = RobotModel.from_urdf(find_share("config/rover.urdf").read_text("utf-8"))
 PROGRESS = {

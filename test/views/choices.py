@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from infomap_ros.views.information.information_config import InformationConfig
-from infomap_ros.views.information.voxel_gains import VoxelGains
+from infomap_ros.views.information.view_information import VoxelGains
+from infomap_ros.views.information.view_query import InformationConfig
 from infomap_ros.views.ranking.options import Options
 from infomap_ros.views.sampling.surroundings import survey
 from infomap_ros.views.situation import Situation

@@ -10,7 +10,7 @@ import numpy as np
 
 from infomap_ros.geometry import PinholeCamera
 from infomap_ros.mapping import VoxelMap
-from infomap_ros.views.information.information_config import InformationConfig
+from infomap_ros.views.information.view_query import InformationConfig
 
 
 def entropy(p: float) -> float:

@@ -11,9 +11,9 @@ from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry import PinholeCamera, StereoRig, make_transform
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.mapping.voxels.window import UNKNOWN_QUANTA
-from infomap_ros.views.information.expected_information import expected_information
-from infomap_ros.views.information.information_config import InformationConfig
-from infomap_ros.views.information.observation_value import expected_reduction
+from infomap_ros.views.information.gains import expected_reduction
+from infomap_ros.views.information.view_information import expected_information
+from infomap_ros.views.information.view_query import InformationConfig
 
 from . import naive
 from .voxels import map_of

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from infomap_ros.views.unproductive_looks import GainPrior
+from infomap_ros.views.decision import GainPrior
 
 
 def test_share_is_what_was_told_of_all_that_could_be() -> None:

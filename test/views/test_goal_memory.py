@@ -7,7 +7,7 @@ import pytest
 
 from infomap_ros.errors import InvalidInputError
 from infomap_ros.mapping import VoxelMap
-from infomap_ros.views.goal_memory import GoalMemory
+from infomap_ros.views.decision import GoalMemory
 
 from .rooms import CAMERA, box_points, facing, seen_room
 

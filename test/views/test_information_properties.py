@@ -10,8 +10,8 @@ from scipy.spatial.transform import Rotation
 from infomap_ros.geometry import PinholeCamera, make_transform
 from infomap_ros.mapping import VoxelMapConfig
 from infomap_ros.mapping.voxels.window import UNKNOWN_QUANTA
-from infomap_ros.views.information.expected_information import expected_information
-from infomap_ros.views.information.information_config import InformationConfig
+from infomap_ros.views.information.view_information import expected_information
+from infomap_ros.views.information.view_query import InformationConfig
 
 from .voxels import map_of
 

@@ -12,9 +12,8 @@ import numpy as np
 from infomap_ros.geometry import PinholeCamera
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.studies.metrics.published_metrics import EVERY_METRIC
-from infomap_ros.views.information.expected_information import expected_information
-from infomap_ros.views.information.information_config import InformationConfig
-from infomap_ros.views.information.voxel_gains import view_gains
+from infomap_ros.views.information.view_information import expected_information, view_gains
+from infomap_ros.views.information.view_query import InformationConfig
 
 from .rooms import CAMERA, box_points, facing
 
@@ -24,9 +23,9 @@ import numpy as np
 from numba import config
 from infomap_ros.geometry import PinholeCamera
 from infomap_ros.mapping import VoxelMap
-from infomap_ros.views.information.expected_information import expected_information
-from infomap_ros.views.information.information_config import InformationConfig
-from infomap_ros.views.information.voxel_gains import view_gains
+from infomap_ros.views.information.view_information import expected_information
+from infomap_ros.views.information.view_query import InformationConfig
+from infomap_ros.views.information.view_information import view_gains
 from infomap_ros.studies.metrics.published_metrics import EVERY_METRIC
 
 assert config.DISABLE_JIT

@@ -12,10 +12,8 @@ from infomap_ros.errors import ConfigError, InvalidInputError
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.studies.common.flight import Flight, FlyingCamera
 from infomap_ros.studies.metrics.published_metrics import EVERY_METRIC
-from infomap_ros.views.decision import count_reasons
-from infomap_ros.views.goal_memory import GoalMemory
-from infomap_ros.views.information.expected_information import expected_information
-from infomap_ros.views.information.view_information import ExpectedInformation
+from infomap_ros.views.decision import GoalMemory, count_reasons
+from infomap_ros.views.information.view_information import ExpectedInformation, expected_information
 from infomap_ros.views.next_best_view import NextBestView, NextBestViewConfig
 from infomap_ros.views.sampling.candidates import CandidateConfig
 from infomap_ros.views.sampling.surroundings import SurroundingsConfig

@@ -7,11 +7,10 @@ import pytest
 
 from infomap_ros.geometry import PinholeCamera
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
-from infomap_ros.mapping.voxels.voxel_states import put_states, unknown_states
+from infomap_ros.mapping.voxels.state import put_states, unknown_states
 from infomap_ros.studies.common.flight import FreeFlight
-from infomap_ros.views.information.information_config import InformationConfig
 from infomap_ros.views.information.view_information import ExpectedInformation
-from infomap_ros.views.information.view_query import camera_rays
+from infomap_ros.views.information.view_query import InformationConfig, camera_rays
 from infomap_ros.views.next_best_view import NextBestView, NextBestViewConfig
 from infomap_ros.views.ranking.options import Options
 from infomap_ros.views.ranking.rating import RatingConfig, Ratings

@@ -7,8 +7,8 @@ import pytest
 
 from infomap_ros.geometry import PinholeCamera
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
-from infomap_ros.views.information.information_config import InformationConfig
 from infomap_ros.views.information.view_information import ExpectedInformation
+from infomap_ros.views.information.view_query import InformationConfig
 from infomap_ros.views.ranking.rating import pose_information_loss, range_variance
 from infomap_ros.views.situation import Situation
 

@@ -7,8 +7,8 @@ import pytest
 
 from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry import Box, PinholeCamera, PlacedSolid, Sphere, make_transform
-from infomap_ros.views.information.information_config import InformationConfig
 from infomap_ros.views.information.view_information import ExpectedInformation
+from infomap_ros.views.information.view_query import InformationConfig
 from infomap_ros.views.ranking.options import Options
 from infomap_ros.views.ranking.rating import Rating, RatingConfig, pose_information_loss
 from infomap_ros.views.ranking.terms import (

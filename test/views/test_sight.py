@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from infomap_ros.mapping import FREE, OCCUPIED, UNKNOWN
-from infomap_ros.views.sampling import sight_kernels
+from infomap_ros.views.sampling import coarse_views
 
 
 def walled() -> np.ndarray:
@@ -33,7 +33,7 @@ def test_targets_behind_a_wall_are_not_in_sight(rng: np.random.Generator) -> Non
     assert 40 < seen.sum() < 190
     sums = np.zeros((1, 12, 24))
     weights = np.ones(len(targets))
-    sight_kernels.gather_directions(states, origin[None], targets, weights, 40.0, 300, sums)
+    coarse_views.gather_directions(states, origin[None], targets, weights, 40.0, 300, sums)
     # The kernel steps by half a voxel, so it overlooks a wall that is grazed by less.
     assert seen.sum() <= sums.sum() <= seen.sum() + 4
 
@@ -42,7 +42,7 @@ def test_weights_go_to_the_direction_of_their_target() -> None:
     states, origin = np.full((20, 20, 20), FREE, np.uint8), np.array((10.5, 10.5, 10.5))
     directions = np.array([(1.0, 0.1, 0.1), (-0.2, 1.0, 0.3), (0.2, -0.3, -1.0)])
     sums = np.zeros((1, 12, 24))
-    sight_kernels.gather_directions(
+    coarse_views.gather_directions(
         states, origin[None], origin + 5.0 * directions, np.array([1.0, 2.0, 4.0]), 40.0, 9, sums
     )
     azimuths = np.arctan2(directions[:, 1], directions[:, 0]) / (2.0 * np.pi) + 0.5
@@ -56,7 +56,7 @@ def test_weights_go_to_the_direction_of_their_target() -> None:
 def test_targets_out_of_range_do_not_count() -> None:
     states, origin = np.full((20, 20, 20), FREE, np.uint8), np.array([[2.5, 2.5, 2.5]])
     targets, sums = np.array([(6.5, 2.5, 2.5), (9.5, 2.5, 2.5)]), np.zeros((1, 2, 2))
-    sight_kernels.gather_directions(states, origin, targets, np.ones(2), 5.0, 9, sums)
+    coarse_views.gather_directions(states, origin, targets, np.ones(2), 5.0, 9, sums)
     assert sums.sum() == 1.0
 
 
@@ -64,7 +64,7 @@ def test_marked_voxels_are_those_in_sight(rng: np.random.Generator) -> None:
     states, origin = walled(), np.array((5.2, 6.1, 9.7))
     places = rng.integers(1, 19, (150, 3))
     seen = np.empty(len(places), np.bool_)
-    sight_kernels.mark_in_sight(states, origin, places, seen)
+    coarse_views.mark_in_sight(states, origin, places, seen)
     expected = [seen_by_sampling(states, origin, place + 0.5) for place in places]
     assert np.mean(seen == expected) > 0.95
 
@@ -75,7 +75,7 @@ def coarse_view(
     """One ray along x from (2.5, 10.5, 10.5), 12 voxels long."""
     sums = np.zeros((1, 5))
     bounds = np.array([[-np.inf] * 3, [high, np.inf, np.inf]])
-    sight_kernels.coarse_view(
+    coarse_views.coarse_view(
         states,
         kinds,
         weights,
@@ -131,8 +131,8 @@ def test_kernels_mean_the_same_uncompiled(rng: np.random.Generator) -> None:
     kinds, weights = np.empty((0, 0, 0), np.uint8), np.ones((1, 2))
     plain, compiled = np.zeros((2, 5)), np.zeros((2, 5))
     for function, sums in (
-        (sight_kernels.coarse_view.py_func, plain),
-        (sight_kernels.coarse_view, compiled),
+        (coarse_views.coarse_view.py_func, plain),
+        (coarse_views.coarse_view, compiled),
     ):
         function(states, kinds, weights, bounds, origins, directions, 9.0, 0.5, 3.0, 2, sums)
     assert plain.min(axis=0)[:3].max() > 0.0

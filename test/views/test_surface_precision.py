@@ -12,11 +12,10 @@ from infomap_ros.errors import ConfigError
 from infomap_ros.geometry import Box, PinholeCamera, PlacedSolid, make_transform
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.mapping.files.export import surface_sigmas
-from infomap_ros.views.information.expected_information import expected_information
 from infomap_ros.views.information.field import CodeBook
-from infomap_ros.views.information.information_config import InformationConfig
-from infomap_ros.views.information.observation_value import surface_bits
-from infomap_ros.views.information.voxel_gains import view_gains
+from infomap_ros.views.information.gains import surface_bits
+from infomap_ros.views.information.view_information import expected_information, view_gains
+from infomap_ros.views.information.view_query import InformationConfig
 
 from . import naive
 from .rooms import box_points, facing

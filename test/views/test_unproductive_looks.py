@@ -7,7 +7,7 @@ import numpy as np
 from infomap_ros.geometry import make_transform
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.mapping.voxels.keys import pack
-from infomap_ros.views.unproductive_looks import UnproductiveLooks
+from infomap_ros.views.decision import UnproductiveLooks
 
 SIZE = 0.05
 

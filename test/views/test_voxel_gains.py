@@ -10,9 +10,12 @@ from infomap_ros.geometry import PinholeCamera, make_transform
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.mapping.voxels.keys import unpack
 from infomap_ros.mapping.voxels.window import UNKNOWN_QUANTA
-from infomap_ros.views.information.expected_information import expected_information
-from infomap_ros.views.information.information_config import InformationConfig
-from infomap_ros.views.information.voxel_gains import VoxelGains, view_gains
+from infomap_ros.views.information.view_information import (
+    VoxelGains,
+    expected_information,
+    view_gains,
+)
+from infomap_ros.views.information.view_query import InformationConfig
 
 from . import naive
 from .voxels import map_of

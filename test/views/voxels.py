@@ -7,8 +7,14 @@ import itertools
 import numpy as np
 
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
-from infomap_ros.mapping.voxels.blocks import BLOCK_COUNT, NARROW, NARROW_COUNT, with_room
-from infomap_ros.mapping.voxels.keys import pack, rehash
+from infomap_ros.mapping.voxels.keys import (
+    BLOCK_COUNT,
+    NARROW,
+    NARROW_COUNT,
+    pack,
+    rehash,
+    with_room,
+)
 from infomap_ros.mapping.voxels.window import UNKNOWN_QUANTA
 
 SIDE = 8

@@ -14,7 +14,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from infomap_ros.errors import CalibrationError, RunLogError
-from infomap_ros.exploration.records.log_records import (
+from infomap_ros.exploration.records.run_log import (
     Candidate,
     Decision,
     End,

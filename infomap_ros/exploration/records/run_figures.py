@@ -8,8 +8,8 @@ from itertools import chain, pairwise
 
 import numpy as np
 
-from infomap_ros.exploration.records.log_records import Message
 from infomap_ros.exploration.records.recorded_run import RecordedRun
+from infomap_ros.exploration.records.run_log import Message
 from infomap_ros.views.decision import count_reasons
 
 _TERM = "localization_error"

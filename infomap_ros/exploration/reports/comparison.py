@@ -10,18 +10,23 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from infomap_ros.errors import InvalidInputError
-from infomap_ros.exploration.records.log_records import Progress, Record, Start
 from infomap_ros.exploration.records.recorded_run import RecordedRun, read_run
-from infomap_ros.exploration.reports.report_page import sections, tables
-from infomap_ros.exploration.reports.report_page.axes import DASH, duration, percent, quantity
-from infomap_ros.exploration.reports.report_page.charts import run_class
+from infomap_ros.exploration.records.run_log import Progress, Record, Start
+from infomap_ros.exploration.reports.report_page import sections
+from infomap_ros.exploration.reports.report_page.charts import (
+    DASH,
+    duration,
+    percent,
+    quantity,
+    run_class,
+)
 from infomap_ros.exploration.reports.report_page.plan import plan
-from infomap_ros.exploration.reports.report_page.scene import scene_of
-from infomap_ros.exploration.reports.report_page.sections import Section, page
-from infomap_ros.exploration.reports.report_page.surface import drawn_surface
-from infomap_ros.exploration.reports.report_page.tables import (
+from infomap_ros.exploration.reports.report_page.scene import drawn_surface, scene_of
+from infomap_ros.exploration.reports.report_page.sections import (
+    Section,
     as_text,
     kinds_of_rejections,
+    page,
     table,
     with_unit,
     words,
@@ -248,8 +253,8 @@ def write_team_report(
     parts = [
         Section("progress", "Coverage over views, meters and time", _curves(runs)),
         Section("plan", "The ways of all robots", f'<div class="above">{ways}{keys}</div>'),
-        Section("task", "Task", tables.parameters_table(everything.start.task, TaskConfig)),
-        Section("figures", "Figures", tables.parameters_table(figures or {})),
+        Section("task", "Task", sections.parameters_table(everything.start.task, TaskConfig)),
+        Section("figures", "Figures", sections.parameters_table(figures or {})),
     ]
     lead = "".join(_robot(place, *item) for place, item in enumerate(runs.items()))
     text = page(title, sections.subtitle(everything), lead, scene, parts)

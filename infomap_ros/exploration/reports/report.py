@@ -9,14 +9,17 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from infomap_ros.errors import InvalidInputError
-from infomap_ros.exploration.records.log_records import Decision, Message, Motion, Start
 from infomap_ros.exploration.records.recorded_run import RecordedRun, read_run
-from infomap_ros.exploration.reports.report_page import sections, tables
-from infomap_ros.exploration.reports.report_page.axes import MINUS, duration, percent
+from infomap_ros.exploration.records.run_log import Decision, Message, Motion, Start
+from infomap_ros.exploration.reports.report_page import sections
+from infomap_ros.exploration.reports.report_page.charts import MINUS, duration, percent
 from infomap_ros.exploration.reports.report_page.plan import plan
-from infomap_ros.exploration.reports.report_page.scene import add_camera_path, scene_of
+from infomap_ros.exploration.reports.report_page.scene import (
+    add_camera_path,
+    drawn_surface,
+    scene_of,
+)
 from infomap_ros.exploration.reports.report_page.sections import Section, page
-from infomap_ros.exploration.reports.report_page.surface import drawn_surface
 from infomap_ros.exploration.task import TaskConfig
 from infomap_ros.geometry.atomic_file import write_text
 from infomap_ros.geometry.transforms import FloatArray
@@ -203,8 +206,8 @@ def write_report(
         Section("progress", "Coverage, entropy and resolution", sections.curves(run)),
         Section("time", "What the time went into", time_line(run)),
         Section("plan", "The run from above", _plan(above, run)),
-        Section("views", "Chosen views", tables.views_table(run)),
-        Section("rejected", "What was rejected, and why", tables.rejections_table(run)),
+        Section("views", "Chosen views", sections.views_table(run)),
+        Section("rejected", "What was rejected, and why", sections.rejections_table(run)),
         *_details(run, figures or {}),
         Section("pictures", "Pictures", sections.pictures(pictures)),
     ]
@@ -244,7 +247,7 @@ def write_map_report(
         add_camera_path(scene, camera_path)
     parts = [
         Section("plan", "The map from above", _plan(above, None, camera_path)),
-        Section("figures", "Figures", tables.parameters_table(figures or {})),
+        Section("figures", "Figures", sections.parameters_table(figures or {})),
         Section("pictures", "Pictures", sections.pictures(pictures)),
     ]
     lead = _paragraph(introduction) + sections.map_tiles(opened)
@@ -256,12 +259,12 @@ def _details(run: RecordedRun, figures: Mapping[str, object]) -> list[Section]:
     said = () if end is None else (end.reason, end.detail)
     figures = {name: value for name, value in figures.items() if value not in said}
     sides = [
-        ("Task", tables.parameters_table(run.start.task, TaskConfig)),
-        ("Computing time of the decisions", tables.stages_table(run)),
-        ("Figures", tables.parameters_table(figures)),
+        ("Task", sections.parameters_table(run.start.task, TaskConfig)),
+        ("Computing time of the decisions", sections.stages_table(run)),
+        ("Figures", sections.parameters_table(figures)),
     ]
     columns = "".join(f"<div><h3>{name}</h3>{body}</div>" for name, body in sides if body)
-    messages = tables.messages_table(run.of(Message))
+    messages = sections.messages_table(run.of(Message))
     return [
         Section("messages", "Messages", messages),
         Section("details", "Task and figures", f'<div class="columns">{columns}</div>'),

@@ -17,8 +17,7 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from infomap_ros.exploration.planar import spaced
-from infomap_ros.exploration.robot import Interrupted, Motion, Robot, RobotState
+from infomap_ros.exploration.robot import Interrupted, Motion, Robot, RobotState, spaced
 from infomap_ros.geometry import PlacedSolid
 from infomap_ros.geometry.config import check_config, parameter, setting
 from infomap_ros.geometry.transforms import FloatArray

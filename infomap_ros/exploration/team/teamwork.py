@@ -13,18 +13,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from infomap_ros.exploration.planar import spaced
-from infomap_ros.exploration.robot import RobotState
+from infomap_ros.exploration.robot import RobotState, spaced
 from infomap_ros.geometry import PinholeCamera
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.motion.keep_out import Obstacle
 from infomap_ros.motion.robot.robot_model import RobotModel
 from infomap_ros.motion.robot.solid_extent import body_extent
-from infomap_ros.team.agent_board import AgentBoard
-from infomap_ros.team.agent_text import agent_to_text
-from infomap_ros.team.agents import Agent, knows
-from infomap_ros.team.agents_config import AgentsConfig
-from infomap_ros.team.authentication import TeamKey
+from infomap_ros.team.agent_board import AgentBoard, agent_to_text
+from infomap_ros.team.agents import Agent, AgentsConfig, knows
+from infomap_ros.team.membership import TeamKey
 from infomap_ros.team.own_version import OwnVersion
 from infomap_ros.views.situation import Teammate
 

@@ -11,8 +11,7 @@ from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.localization.fiducials.appearance import AppearanceMatches, find_again
 from infomap_ros.localization.fiducials.patch_alignment import Alignment, align_templates
 from infomap_ros.localization.fiducials.range_view import RangeView, check_pixels
-from infomap_ros.localization.fiducials.tracker_config import FiducialTrackerConfig
-from infomap_ros.localization.fiducials.tracks import Tracks
+from infomap_ros.localization.fiducials.tracks import FiducialTrackerConfig, Tracks
 
 # Descriptors find a corner near the fiducial, not the fiducial itself [px].
 _DESCRIPTOR_SEARCH = 3

@@ -3,19 +3,57 @@
 Inverse compositional Gauss-Newton (S. Baker and I. Matthews, *Lucas-Kanade 20 years on*, IJCV
 56(3), 2004, DOI 10.1023/B:VISI.0000011205.11775.fd) over an affine warp, with the mean and the
 contrast of both patches made equal, so that brightness and gain do not matter.
+
+Small kernels on image patches that tracking and sparse stereo share.
+
+Where pixels of one image went in the next: pyramidal Lucas-Kanade, forward and back.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import ClassVar, NamedTuple
 
 import cv2
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from infomap_ros.errors import ConfigError
+from infomap_ros.geometry.config import check_config, setting
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.localization.fiducials.patch_kernels import sample_patch
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def sample_patch(image, u, v, a, b, c, d, patch):  # type: ignore[no-untyped-def]
+    """Sample an affinely warped patch by bilinear interpolation.
+
+    ``patch[j, i]`` is the image at ``(u + a x + b y, v + c x + d y)`` with ``x = i - n // 2`` and
+    ``y = j - n // 2``.
+
+    Returns:
+        Whether all of it lies inside the image; the patch is not to be used otherwise.
+    """
+    rows, columns = patch.shape
+    x0, y0 = -(columns // 2), -(rows // 2)
+    height, width = image.shape
+    for corner in range(4):
+        x = x0 if corner % 2 == 0 else x0 + columns - 1
+        y = y0 if corner < 2 else y0 + rows - 1
+        s, t = u + a * x + b * y, v + c * x + d * y
+        if not (0.0 <= s < width - 1.0 and 0.0 <= t < height - 1.0):
+            return False
+    for j in range(rows):
+        for i in range(columns):
+            x, y = float(x0 + i), float(y0 + j)
+            s, t = u + a * x + b * y, v + c * x + d * y
+            column, row = int(s), int(t)
+            f, g = s - column, t - row
+            top = image[row, column] * (1.0 - f) + image[row, column + 1] * f
+            bottom = image[row + 1, column] * (1.0 - f) + image[row + 1, column + 1] * f
+            patch[j, i] = top * (1.0 - g) + bottom * g
+    return True
+
 
 _ITERATIONS = 15
 _CONVERGED = 0.01  # [px]
@@ -252,3 +290,107 @@ def _assess(template, patch, jacobian, warp, n, sigmas, correlations):  # type: 
     middle = 0.5 * (there[0, 0] + there[1, 1])
     half = 0.5 * (there[0, 0] - there[1, 1])
     sigmas[n] = np.sqrt(middle + np.sqrt(half * half + there[0, 1] ** 2))
+
+
+# Brightness is made equal where mean or contrast of the images differ by more than this.
+_SAME_MEAN = 3.0  # [gray levels]
+_SAME_CONTRAST = 0.03
+_LEAST_CONTRAST = 1.0  # [gray levels]
+
+
+@dataclass(frozen=True)
+class OpticalFlowConfig:
+    """How pixels are followed from image to image.
+
+    Raises:
+        ConfigError: a value is out of its range.
+    """
+
+    window: int = setting(21, "Side of the window, odd.", unit="px", low=5, high=61)
+    levels: ClassVar[int] = 4
+    """Levels of the image pyramid; each doubles the step that is followed."""
+    iterations: int = setting(20, "Most iterations per level.", low=1, high=100)
+    max_round_trip: ClassVar[float] = 1.0
+    """A pixel must come back to where it was by this, when followed forward and back [px]."""
+
+    def __post_init__(self) -> None:
+        check_config(self)
+        if self.window % 2 == 0:
+            raise ConfigError("window", self.window, "an odd number")
+
+
+class OpticalFlow:
+    """Follows pixels from the image before to the next.
+
+    B. D. Lucas and T. Kanade, *An iterative image registration technique*, IJCAI 1981, in the
+    pyramidal form of J.-Y. Bouguet, as OpenCV has it. A change of the whole image's brightness and
+    contrast between the two is taken out first.
+    """
+
+    def __init__(self, config: OpticalFlowConfig | None = None) -> None:
+        self.config = config or OpticalFlowConfig()
+        self._image: NDArray[np.uint8] | None = None
+
+    def remember(self, image: NDArray[np.uint8]) -> None:
+        """Take an image, shape (H, W), as the one from which `follow` goes on."""
+        self._image = image
+
+    def follow(
+        self, image: NDArray[np.uint8], pixels: FloatArray, start: FloatArray
+    ) -> tuple[FloatArray, NDArray[np.bool_]]:
+        """Find pixels of the remembered image in another, which is remembered in its place.
+
+        Args:
+            image: shape (H, W).
+            pixels: in the remembered image, shape (N, 2) [px].
+            start: where they are expected in `image`, shape (N, 2) [px].
+
+        Returns:
+            Where they are, shape (N, 2) [px], and whether they came back, shape (N,).
+        """
+        before, self._image = self._image, image
+        if before is None or len(pixels) == 0:
+            return start.copy(), np.zeros(len(pixels), np.bool_)
+        now = equalised(image, before)
+        places = np.ascontiguousarray(pixels, np.float32)[:, None]
+        guess = np.ascontiguousarray(start, np.float32)[:, None]
+        there, forward = self._flow(before, now, places, guess)
+        back, backward = self._flow(now, before, there, places.copy())
+        missed = np.linalg.norm(back - places, axis=2)[:, 0]
+        found = (forward & backward)[:, 0] & (missed <= self.config.max_round_trip)
+        return there[:, 0].astype(np.float64), np.asarray(found)
+
+    def _flow(
+        self,
+        before: NDArray[np.uint8],
+        after: NDArray[np.uint8],
+        pixels: NDArray[np.float32],
+        guess: NDArray[np.float32],
+    ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+        there, status, _ = cv2.calcOpticalFlowPyrLK(
+            before,
+            after,
+            pixels,
+            guess.copy(),
+            winSize=(self.config.window, self.config.window),
+            maxLevel=self.config.levels - 1,
+            criteria=(
+                cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS,
+                self.config.iterations,
+                0.03,
+            ),
+            flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
+            minEigThreshold=1e-4,
+        )
+        return there, status.astype(np.bool_)
+
+
+def equalised(image: NDArray[np.uint8], like: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """An image with the mean and contrast of another; itself where they are alike already."""
+    mean, contrast = (float(value[0, 0]) for value in cv2.meanStdDev(image))
+    wanted_mean, wanted_contrast = (float(value[0, 0]) for value in cv2.meanStdDev(like))
+    gain = max(wanted_contrast, _LEAST_CONTRAST) / max(contrast, _LEAST_CONTRAST)
+    if abs(mean - wanted_mean) < _SAME_MEAN and abs(gain - 1.0) < _SAME_CONTRAST:
+        return image
+    levels = np.clip(np.rint((np.arange(256) - mean) * gain + wanted_mean), 0, 255)
+    return np.asarray(cv2.LUT(image, levels.astype(np.uint8)), dtype=np.uint8)

@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 from infomap_ros.errors import ConfigError
 from infomap_ros.geometry.config import check_config, setting
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.localization.fiducials.patch_kernels import sample_patch
+from infomap_ros.localization.fiducials.patch_alignment import sample_patch
 
 _ITERATIONS = 8
 _CONVERGED = 0.01  # [px]

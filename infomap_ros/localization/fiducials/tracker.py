@@ -23,16 +23,20 @@ from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.localization.fiducials.appearance import describe, descriptor_size, find_again
 from infomap_ros.localization.fiducials.dormant import DormantFiducials, at_scale, believed
 from infomap_ros.localization.fiducials.observations import FiducialObservations
-from infomap_ros.localization.fiducials.optical_flow import OpticalFlow
 from infomap_ros.localization.fiducials.patch_alignment import (
     MARGIN,
     Alignment,
+    OpticalFlow,
     align_templates,
     cut_templates,
 )
 from infomap_ros.localization.fiducials.range_view import RangeView, check_pixels
-from infomap_ros.localization.fiducials.tracker_config import FiducialTrackerConfig
-from infomap_ros.localization.fiducials.tracks import Tracks, new_tracks, tracks_from_arrays
+from infomap_ros.localization.fiducials.tracks import (
+    FiducialTrackerConfig,
+    Tracks,
+    new_tracks,
+    tracks_from_arrays,
+)
 
 __all__ = ["FiducialTracker", "FiducialTrackerConfig"]
 

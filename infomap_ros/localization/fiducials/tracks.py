@@ -1,17 +1,28 @@
-"""What the tracker remembers of each fiducial."""
+"""What the tracker remembers of each fiducial.
+
+Parameters of the tracker of fiducials.
+
+From where fiducials were seen, and whether they look the same from elsewhere.
+
+A viewpoint is the place of the camera in the map [m] and the direction of its image's v axis there,
+shape (2, 3).
+"""
 
 from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from infomap_ros.errors import InvalidInputError
+from infomap_ros.errors import ConfigError, InvalidInputError
+from infomap_ros.geometry.config import check_config, setting
 from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.localization.fiducials.appearance import AppearanceConfig
+from infomap_ros.localization.fiducials.patch_alignment import OpticalFlowConfig
 
 
 @dataclass(eq=False)
@@ -105,3 +116,126 @@ def tracks_from_arrays(arrays: Mapping[str, NDArray[Any]], like: Tracks) -> Trac
             )
         columns[name] = column.copy()
     return Tracks(**columns)
+
+
+@dataclass(frozen=True)
+class FiducialTrackerConfig:
+    """How fiducials are followed.
+
+    Raises:
+        ConfigError: a value is out of its range.
+    """
+
+    template: int = setting(15, "Side of a fiducial's template, odd.", unit="px", low=7, high=41)
+    min_correlation: ClassVar[float] = 0.8
+    """A fiducial must have this normalized correlation with its template."""
+    good_correlation: ClassVar[float] = 0.9
+    """With this correlation it is well seen, and may give a new template."""
+    max_shift: ClassVar[float] = 3.0
+    """Flow and template may disagree by this much about where a fiducial is [px]."""
+    max_sigma: ClassVar[float] = 0.7
+    """Fiducials whose pixel is less certain than this are not believed: they slide along edges
+    [px].
+    """
+    max_recalled_sigma: ClassVar[float] = 0.3
+    """Likewise of fiducials that are found again: of those less certain every third was another
+    thing [px].
+    """
+    max_warp: ClassVar[float] = 1.8
+    """A template is renewed when it has to be stretched or shrunk by more than this factor."""
+    search_radius: ClassVar[int] = 6
+    """How far about its predicted place a fiducial is searched for that flow has lost [px]."""
+    max_missed_views: int = setting(
+        5, "A fiducial that was not seen in more consecutive views is given up.", low=0, high=1000
+    )
+    large_step: ClassVar[float] = 0.5
+    """Share of fiducials that flow may lose before descriptors are compared."""
+    direct_radius: ClassVar[float] = 12.0
+    """A dormant fiducial that is expected within this is searched for by its template, otherwise
+    by its descriptor [px].
+    """
+    sharp_share: ClassVar[float] = 0.7
+    """Where fewer of the fiducials that flow has found are well seen, the image is taken to be
+    blurred, and blurred templates are tried.
+    """
+    sigma_factor: ClassVar[float] = 3.0
+    """Calibrated multiple of the sigma that image noise leaves."""
+    sigma_floor: float = setting(
+        0.05, "Pixel sigmas are never smaller.", unit="px", low=0.001, high=10.0
+    )
+    flow: OpticalFlowConfig = field(default_factory=OpticalFlowConfig)
+    appearance: AppearanceConfig = field(default_factory=AppearanceConfig)
+
+    def __post_init__(self) -> None:
+        check_config(self)
+        if self.template % 2 == 0:
+            raise ConfigError("template", self.template, "an odd number")
+
+
+_SAME_ANGLE, _SAME_ROLL, _SAME_SCALE = 0.35, 0.35, 1.4  # [rad, rad, 1]
+
+
+def viewpoint(T_map_camera: FloatArray) -> FloatArray:
+    """The viewpoint of a camera at a pose, shape (4, 4)."""
+    return np.stack([T_map_camera[:3, 3], T_map_camera[:3, 1]])
+
+
+def moved_viewpoint(T_new_old: FloatArray, before: FloatArray) -> FloatArray:
+    """A viewpoint, shape (2, 3), in a map whose frame was put elsewhere, shape (4, 4)."""
+    moved = before @ T_new_old[:3, :3].T
+    moved[0] += T_new_old[:3, 3]
+    return np.asarray(moved)
+
+
+def look_the_same(
+    points: FloatArray, before: FloatArray, T_map_camera: FloatArray
+) -> NDArray[np.bool_]:
+    """Whether points look about as they did: from the same side, as large, and the same way up.
+
+    Templates and descriptors find a fiducial again anywhere only then. A camera on an arm may well
+    come back upside down.
+
+    Args:
+        points: in the map, shape (N, 3) [m].
+        before: from where each was seen, shape (N, 2, 3).
+        T_map_camera: from where they are seen now, shape (4, 4).
+
+    Returns:
+        Shape (N,).
+    """
+    rays = before[:, 0] - points, T_map_camera[:3, 3] - points
+    lengths = np.linalg.norm(rays[0], axis=1), np.linalg.norm(rays[1], axis=1)
+    downs = _across(before[:, 1], rays[0]), _across(T_map_camera[:3, 1], rays[1])
+    same = _cosines(*rays) > np.cos(_SAME_ANGLE)
+    same &= _cosines(*downs) > np.cos(_SAME_ROLL)
+    same &= (lengths[1] < _SAME_SCALE * lengths[0]) & (lengths[0] < _SAME_SCALE * lengths[1])
+    return np.asarray(same)
+
+
+def turns_since(points: FloatArray, before: FloatArray, T_map_camera: FloatArray) -> FloatArray:
+    """By how much the surroundings of points look turned in the image.
+
+    Args:
+        points: in the map, before the camera, shape (N, 3) [m].
+        before: from where each was seen, shape (N, 2, 3).
+        T_map_camera: from where they are seen now, shape (4, 4).
+
+    Returns:
+        From the image's u axis towards its v axis, shape (N,) [rad].
+    """
+    downs = _across(before[:, 1], before[:, 0] - points) @ T_map_camera[:3, :3]
+    inside = (points - T_map_camera[:3, 3]) @ T_map_camera[:3, :3]
+    du = downs[:, 0] * inside[:, 2] - inside[:, 0] * downs[:, 2]
+    dv = downs[:, 1] * inside[:, 2] - inside[:, 1] * downs[:, 2]
+    return np.asarray(np.arctan2(-du, dv))
+
+
+def _across(directions: FloatArray, rays: FloatArray) -> FloatArray:
+    """What of directions is square to rays, shape (N, 3)."""
+    share = (directions * rays).sum(axis=1) / np.square(rays).sum(axis=1)
+    return np.asarray(directions - share[:, None] * rays)
+
+
+def _cosines(first: FloatArray, second: FloatArray) -> FloatArray:
+    lengths = np.linalg.norm(first, axis=1) * np.linalg.norm(second, axis=1)
+    return np.asarray((first * second).sum(axis=1) / lengths)

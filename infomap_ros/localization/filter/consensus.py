@@ -12,8 +12,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from infomap_ros.geometry.transforms import FloatArray, make_transform
+from infomap_ros.localization.filter.camera_motion import pose_of_triple, random_triples
 from infomap_ros.localization.filter.sight import Measured, normalized_differences
-from infomap_ros.localization.filter.triples import pose_of_triple, random_triples
 
 BoolArray = NDArray[np.bool_]
 

@@ -20,7 +20,12 @@ from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry import PinholeCamera, PoseUncertainty, check_covariance, check_transform
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.localization.fiducials.observations import FiducialObservations
-from infomap_ros.localization.filter.config import FiducialFilterConfig
+from infomap_ros.localization.filter.config import (
+    FiducialFilterConfig,
+    Fiducials,
+    FilterUpdate,
+    KeptPoses,
+)
 from infomap_ros.localization.filter.history import FiducialHistory
 from infomap_ros.localization.filter.hypothesis_choice import CONTESTED, Image, explain
 from infomap_ros.localization.filter.invariant_state import (
@@ -30,16 +35,16 @@ from infomap_ros.localization.filter.invariant_state import (
 )
 from infomap_ros.localization.filter.lie import renormalized, skews
 from infomap_ros.localization.filter.motion_prior import MotionPrior
-from infomap_ros.localization.filter.pose_errors import (
+from infomap_ros.localization.filter.pose_hypothesis import Hypothesis
+from infomap_ros.localization.filter.shared_errors import (
+    CLONES,
+    SharedErrors,
     invariant_difference,
     invariant_from_pose,
     most_redundant,
     pose_covariances,
     square_root,
 )
-from infomap_ros.localization.filter.pose_hypothesis import Hypothesis
-from infomap_ros.localization.filter.records import Fiducials, FilterUpdate, KeptPoses
-from infomap_ros.localization.filter.shared_errors import CLONES, SharedErrors
 from infomap_ros.localization.filter.sight import Measured
 
 # A map whose frame is put elsewhere: all values and errors of the filter move with it.

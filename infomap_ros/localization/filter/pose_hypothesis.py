@@ -14,7 +14,7 @@ from infomap_ros.localization.filter.config import FiducialFilterConfig
 from infomap_ros.localization.filter.invariant_state import InvariantState
 from infomap_ros.localization.filter.lie import left_jacobian, logarithm
 from infomap_ros.localization.filter.motion_prior import MotionPrior
-from infomap_ros.localization.filter.pose_errors import square_root
+from infomap_ros.localization.filter.shared_errors import square_root
 from infomap_ros.localization.filter.sight import (
     BoolArray,
     Correction,

@@ -19,7 +19,7 @@ from infomap_ros.errors import ConfigError
 from infomap_ros.geometry import PinholeCamera, check_transform
 from infomap_ros.geometry.config import check_config, setting
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.localization.target.model_shape import directions
+from infomap_ros.localization.target.model_scene import directions
 
 
 @dataclass(frozen=True)

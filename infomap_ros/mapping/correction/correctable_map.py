@@ -22,14 +22,13 @@ from infomap_ros.geometry import (
 )
 from infomap_ros.geometry.pose_uncertainty import positive_part
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.mapping.correction.body_removal import forget_body
 from infomap_ros.mapping.correction.reintegration import (
     Reintegration,
     ReintegrationConfig,
     ReintegrationReport,
     moved_scans,
 )
-from infomap_ros.mapping.correction.scan_store import ScanStore, ScanStoreConfig
+from infomap_ros.mapping.correction.scan_store import ScanStore, ScanStoreConfig, forget_body
 from infomap_ros.mapping.scans.body import BodyFilterConfig
 from infomap_ros.mapping.scans.integration import IntegrationReport
 from infomap_ros.mapping.voxel_map import VoxelMap

@@ -26,7 +26,7 @@ from infomap_ros.mapping.correction.scan_store import KeptScan, ScanStore, integ
 from infomap_ros.mapping.scans.view_volume import ViewVolume, mark_blocks, touches_any, view_volume
 from infomap_ros.mapping.voxel_map import VoxelMap
 from infomap_ros.mapping.voxels.block_exchange import exchange_blocks
-from infomap_ros.mapping.voxels.blocks import BLOCK_COUNT
+from infomap_ros.mapping.voxels.keys import BLOCK_COUNT
 
 ScanPose = tuple[FloatArray, FloatArray | None]
 """T_map_sensor, shape (4, 4), and its covariance, shape (6, 6), or None for the one there was."""

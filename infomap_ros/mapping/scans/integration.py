@@ -16,12 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from infomap_ros.mapping.config import VoxelMapConfig
-from infomap_ros.mapping.scans import cloud_normals, scan, traversal
+from infomap_ros.mapping.scans import scan, traversal
 from infomap_ros.mapping.scans.association import Sensor
-from infomap_ros.mapping.scans.gathered_scan import GatheredScan, check_block_count
 from infomap_ros.mapping.scans.image_gathering import ImageGatherer
 from infomap_ros.mapping.scans.observation import observe_rows
-from infomap_ros.mapping.scans.scan_input import Scan
+from infomap_ros.mapping.scans.scan_input import GatheredScan, Scan, check_block_count
 from infomap_ros.mapping.scans.workers import Workers
 from infomap_ros.mapping.voxels.keys import unpack_all
 from infomap_ros.mapping.voxels.storage import (
@@ -187,8 +186,8 @@ class CloudGatherer:
     def _cells(self, measured: Scan) -> scan.ScanRows:
         """Normals of an unorganized scan."""
         cells = scan.empty_rows()
-        size = cloud_normals.CELL_VOXELS * self._config.voxel_size
-        while not cloud_normals.gather_cells(cells, measured.points, size, self._config.max_range):
+        size = traversal.CELL_VOXELS * self._config.voxel_size
+        while not traversal.gather_cells(cells, measured.points, size, self._config.max_range):
             cells = scan.empty_rows(2 * len(cells.keys))
-        cloud_normals.find_normals(cells)
+        traversal.find_normals(cells)
         return cells

@@ -42,15 +42,15 @@ import numpy as np
 
 from infomap_ros.geometry.kernel import kernel
 from infomap_ros.mapping.scans.association import pose_variance_along
-from infomap_ros.mapping.voxels.gaussians import (
+from infomap_ros.mapping.voxels.keys import unpack
+from infomap_ros.mapping.voxels.surface import side_of
+from infomap_ros.mapping.voxels.surface_kernels import (
     added,
     inverse_symmetric,
     plane_matrix,
     rotate_symmetric,
     variance_along,
 )
-from infomap_ros.mapping.voxels.keys import unpack
-from infomap_ros.mapping.voxels.surface import side_of
 
 _AGREEMENT = 0.7
 """Length of the mean of unit normals below which a voxel holds an edge, not a smooth patch."""

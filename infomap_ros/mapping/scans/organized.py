@@ -20,9 +20,15 @@ from infomap_ros.mapping.scans.association import (
     set_reach,
     variance_along,
 )
-from infomap_ros.mapping.scans.plain_tiles import FAR, PLAIN, gather_plain_tile, place_tile
+from infomap_ros.mapping.scans.plain_tiles import (
+    FAR,
+    PLAIN,
+    TILE,
+    gather_plain_tile,
+    gather_tile,
+    place_tile,
+)
 from infomap_ros.mapping.scans.scan import add_group, walk_through
-from infomap_ros.mapping.scans.tiles import TILE, gather_tile
 
 _LARGEST_WINDOW = 24
 

@@ -13,8 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from infomap_ros.geometry.kernel import inlined_kernel, kernel
-from infomap_ros.mapping.scans.grid_walk import next_of_short_walk, way_through
-from infomap_ros.mapping.voxels.keys import KEY_X, KEY_Y, table_slot, unpack
+from infomap_ros.mapping.voxels.keys import (
+    KEY_X,
+    KEY_Y,
+    next_of_short_walk,
+    table_slot,
+    unpack,
+    way_through,
+)
 
 POINTS, OFFSET, COVARIANCE, NORMAL, INSIDE = 0, 1, 4, 10, 13
 """Columns of `ScanRows.sums`: number of points, sums of their offset from the voxel's center [m],

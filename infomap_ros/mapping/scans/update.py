@@ -19,10 +19,17 @@ from infomap_ros.mapping.voxels.block_kernels import (
     find_or_add_block,
     make_room,
 )
-from infomap_ros.mapping.voxels.blocks import NARROW, NARROW_UNKNOWN
-from infomap_ros.mapping.voxels.keys import BLOCK_BITS, BLOCK_VOXELS, local_index, pack, unpack
+from infomap_ros.mapping.voxels.keys import (
+    BLOCK_BITS,
+    BLOCK_VOXELS,
+    NARROW,
+    NARROW_UNKNOWN,
+    local_index,
+    pack,
+    unpack,
+)
+from infomap_ros.mapping.voxels.surface import admit_hit, admit_misses
 from infomap_ros.mapping.voxels.surface_kernels import SIDES
-from infomap_ros.mapping.voxels.witnesses import admit_hit, admit_misses
 
 _ONE = np.uint64(1)
 _ALL = np.uint64(0xFFFFFFFFFFFFFFFF)

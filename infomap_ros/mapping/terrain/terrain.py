@@ -16,7 +16,7 @@ from infomap_ros.geometry.config import check_config, setting
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping.config import LOG_ODDS_QUANTUM
 from infomap_ros.mapping.terrain import measures
-from infomap_ros.mapping.terrain.cubes import (
+from infomap_ros.mapping.terrain.measures import (
     OPEN,
     SOLID,
     SUSPECT,

@@ -19,8 +19,9 @@ from infomap_ros.mapping.voxels.block_kernels import (
     mark_dirty,
     quanta_at,
 )
-from infomap_ros.mapping.voxels.blocks import (
+from infomap_ros.mapping.voxels.keys import (
     BLOCK_COUNT,
+    BLOCK_VOXELS,
     NARROW,
     NARROW_COUNT,
     WIDE,
@@ -29,7 +30,6 @@ from infomap_ros.mapping.voxels.blocks import (
     empty_blocks,
     with_room,
 )
-from infomap_ros.mapping.voxels.keys import BLOCK_VOXELS
 from infomap_ros.mapping.voxels.storage import MapStorage
 from infomap_ros.mapping.voxels.surface import SurfaceArrays, records_of, surface_of
 from infomap_ros.mapping.voxels.surface_kernels import EXCESS, ROW_SIZE, SIDES, read_record

@@ -1,4 +1,4 @@
-"""Compiled operations on blocks of occupancy; layout in `infomap_ros.mapping.voxels.blocks`.
+"""Compiled operations on blocks of occupancy; layout in `infomap_ros.mapping.voxels.keys`.
 
 Loops over a plane store to every element, changed or not: LLVM 20 miscompiles conditional int8
 stores beside a reduction when it vectorises for AVX-512 (`test_blocks.py` would notice).
@@ -12,8 +12,9 @@ import numpy as np
 
 from infomap_ros.geometry.kernel import kernel
 from infomap_ros.mapping.config import SHARED_LOG_ODDS_LIMIT
-from infomap_ros.mapping.voxels.blocks import (
+from infomap_ros.mapping.voxels.keys import (
     BLOCK_COUNT,
+    BLOCK_VOXELS,
     NARROW,
     NARROW_COUNT,
     NARROW_FREE,
@@ -23,8 +24,8 @@ from infomap_ros.mapping.voxels.blocks import (
     WIDE,
     WIDE_COUNT,
     WIDE_UNKNOWN,
+    table_slot,
 )
-from infomap_ros.mapping.voxels.keys import BLOCK_VOXELS, table_slot
 
 _ALL = np.uint64(0xFFFFFFFFFFFFFFFF)
 

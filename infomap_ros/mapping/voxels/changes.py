@@ -12,7 +12,7 @@ from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry.pose_uncertainty import point_covariances
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping.voxels import queries
-from infomap_ros.mapping.voxels.blocks import BLOCK_COUNT
+from infomap_ros.mapping.voxels.keys import BLOCK_COUNT
 from infomap_ros.mapping.voxels.storage import MapStorage
 
 

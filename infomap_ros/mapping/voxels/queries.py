@@ -11,19 +11,17 @@ from numba import njit
 from infomap_ros.geometry.kernel import kernel
 from infomap_ros.mapping.config import NOT_OBSERVED
 from infomap_ros.mapping.voxels.block_kernels import clipped, find_block, quanta_at
-from infomap_ros.mapping.voxels.blocks import (
+from infomap_ros.mapping.voxels.keys import (
+    BLOCK_BITS,
     BLOCK_COUNT,
+    BLOCK_SIDE,
+    BLOCK_VOXELS,
+    COORDINATE_LIMIT,
     NARROW,
     NARROW_UNKNOWN,
     UNIFORM,
     WIDE,
     WIDE_UNKNOWN,
-)
-from infomap_ros.mapping.voxels.keys import (
-    BLOCK_BITS,
-    BLOCK_SIDE,
-    BLOCK_VOXELS,
-    COORDINATE_LIMIT,
     local_index,
     pack,
     unpack,

@@ -17,9 +17,10 @@ from infomap_ros.mapping.scans.scan import ScanRows
 from infomap_ros.mapping.scans.workers import Workers
 from infomap_ros.mapping.voxels import surface
 from infomap_ros.mapping.voxels.block_kernels import find_block
-from infomap_ros.mapping.voxels.blocks import (
+from infomap_ros.mapping.voxels.keys import (
     BLOCK_BYTES,
     BLOCK_COUNT,
+    BLOCK_VOXELS,
     DIRTY_BYTES,
     PLANE_BYTES,
     BlockArrays,
@@ -28,11 +29,19 @@ from infomap_ros.mapping.voxels.blocks import (
     grown,
     with_room,
 )
-from infomap_ros.mapping.voxels.gaussians import INFORMATION_SIZE
-from infomap_ros.mapping.voxels.keys import BLOCK_VOXELS
-from infomap_ros.mapping.voxels.surface import SurfaceArrays, empty_surface, surface_bytes
-from infomap_ros.mapping.voxels.surface_kernels import ROW_COUNT, SIDES, add_observations
-from infomap_ros.mapping.voxels.witnesses import WitnessArrays, Witnesses
+from infomap_ros.mapping.voxels.surface import (
+    SurfaceArrays,
+    WitnessArrays,
+    Witnesses,
+    empty_surface,
+    surface_bytes,
+)
+from infomap_ros.mapping.voxels.surface_kernels import (
+    INFORMATION_SIZE,
+    ROW_COUNT,
+    SIDES,
+    add_observations,
+)
 
 _RECORD_BITS = (SIDES * BLOCK_VOXELS).bit_length() - 1
 """Bits of a record's number below that of its block."""

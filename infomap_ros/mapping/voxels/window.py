@@ -16,11 +16,11 @@ from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping.config import LOG_ODDS_QUANTUM
 from infomap_ros.mapping.voxels.block_kernels import find_block, quanta_of
-from infomap_ros.mapping.voxels.blocks import UNSEEN
 from infomap_ros.mapping.voxels.keys import (
     BLOCK_BITS,
     BLOCK_SIDE,
     COORDINATE_LIMIT,
+    UNSEEN,
     local_index,
     pack,
 )

@@ -20,7 +20,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from infomap_ros.mapping.field_kernels import clearance_bounds, nearest_blocked, sphere_clear
+from infomap_ros.mapping.distance_field import clearance_bounds, nearest_blocked, sphere_clear
 from infomap_ros.motion.robot.chain import compose, move
 
 CLEAR = -1

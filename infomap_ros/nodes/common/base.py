@@ -418,7 +418,7 @@ class MonitoredNode(LifecycleNode):
             return
         # A robot's file is for all nodes, and each takes what it knows. Imported here, as that
         # looks for a graphics card, which other starts need not wait for.
-        from infomap_ros.simulation.robots.robot_parameters import PARAMETERS
+        from infomap_ros.simulation.robots.robot_file import PARAMETERS
 
         for name in unknown:
             if name not in PARAMETERS:

@@ -24,15 +24,17 @@ from infomap_ros.motion.route import ArmPath
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.common.message_types import RclpyMessageTypes
-from infomap_ros.nodes.driving.action_goal import GoalRequest
-from infomap_ros.nodes.driving.action_motion import REPLACED, ActionMotions
-from infomap_ros.nodes.driving.action_types import (
+from infomap_ros.nodes.driving.action_motion import REPLACED, ActionMotions, GoalRequest
+from infomap_ros.nodes.driving.driver_config import RobotDriverConfig
+from infomap_ros.nodes.driving.motion_result import (
+    ARM,
     FOLLOW_JOINT_TRAJECTORY,
+    MotionResult,
+    Order,
+    Outcome,
     action_class,
     explain_trajectory,
 )
-from infomap_ros.nodes.driving.driver_config import RobotDriverConfig
-from infomap_ros.nodes.driving.motion_result import ARM, MotionResult, Order, Outcome
 from infomap_ros.nodes.robot.robot_tracker import RobotTrackerConfig
 
 _SLACK = 5.0  # [s] that a controller's result may come after its goal_time_tolerance

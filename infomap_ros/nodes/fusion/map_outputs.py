@@ -1,4 +1,7 @@
-"""The pictures that map_fusion publishes of its map. Nothing is built that nobody subscribes to."""
+"""The pictures that map_fusion publishes of its map. Nothing is built that nobody subscribes to.
+
+The content of a voxel map in the forms in which it is published.
+"""
 
 from __future__ import annotations
 
@@ -7,21 +10,47 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
+import numpy as np
 from nav_msgs.msg import OccupancyGrid
+from numpy.typing import NDArray
 from rclpy.publisher import Publisher
 from sensor_msgs.msg import PointCloud2
 
 from infomap_ros.geometry.config import check_config, setting
-from infomap_ros.mapping import VoxelMap
+from infomap_ros.mapping import NOT_OBSERVED, VoxelChanges, VoxelMap
+from infomap_ros.mapping.files.export import ProjectionConfig, project_map, surface_vertices
 from infomap_ros.mapping.files.octomap_file import binary_tree, full_tree
-from infomap_ros.mapping.files.projection import ProjectionConfig, project_map
 from infomap_ros.messages import encode_cloud_fields, encode_occupancy_grid
-from infomap_ros.messages.products import OCTOMAP, encode_octomap
+from infomap_ros.messages.encode import OCTOMAP, encode_octomap
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.common.message_types import RclpyMessageTypes, message_class
-from infomap_ros.nodes.fusion.map_contents import VOXEL_MAP_FIELDS, voxel_map_rows
 from infomap_ros.pipeline.scan_synchronizer import ScanSynchronizerConfig
+
+VOXEL_MAP_FIELDS = ("x", "y", "z", "probability", "sigma")
+
+
+def voxel_map_rows(voxel_map: VoxelMap) -> NDArray[np.float32]:
+    """Surface voxels as rows of `VOXEL_MAP_FIELDS`, shape (K, 5), float32.
+
+    Position is the mean of the Gaussian [m, map]; sigma is the standard deviation of the surface
+    along its normal [m].
+    """
+    vertices = surface_vertices(voxel_map)
+    return np.stack([vertices[name].astype(np.float32) for name in VOXEL_MAP_FIELDS], axis=-1)
+
+
+def without_evidence(indices: NDArray[np.int32]) -> VoxelChanges:
+    """Voxels, shape (K, 3), of which nothing is known."""
+    count = len(indices)
+    return VoxelChanges(
+        indices,
+        np.full(count, NOT_OBSERVED, np.int8),
+        np.zeros(count, np.bool_),
+        np.full((count, 3), np.nan),
+        np.full((count, 3, 3), np.nan),
+    )
+
 
 VOXEL_MAP, PROJECTED_MAP = "voxel_map", "projected_map"
 OCTOMAP_BINARY, OCTOMAP_FULL = "octomap_binary", "octomap_full"

@@ -19,16 +19,15 @@ from infomap_ros.geometry import (
     invert_transform,
 )
 from infomap_ros.geometry.joint_buffer import JointBufferConfig
-from infomap_ros.geometry.pose_buffer import PoseBufferConfig
-from infomap_ros.geometry.transform_tree import TransformTree
+from infomap_ros.geometry.pose_buffer import PoseBufferConfig, TransformTree
+from infomap_ros.geometry.records import WaitingQueueConfig
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.geometry.waiting_queue import WaitingQueueConfig
 from infomap_ros.messages import POINT_CLOUD, decode_pose_with_covariance
 from infomap_ros.messages.fields import MessageFields
 from infomap_ros.messages.pose_uncertainty import decode_pose_uncertainty
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
-from infomap_ros.nodes.robot.frame_listener import FrameListener
+from infomap_ros.nodes.robot.odometry_listener import FrameListener
 from infomap_ros.nodes.robot.robot_body import BodyListener, RobotBodyConfig
 from infomap_ros.nodes.team.team_bodies import TeamBodyListener
 from infomap_ros.pipeline.clock_jumps import LONE_STAMP

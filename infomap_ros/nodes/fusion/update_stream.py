@@ -24,15 +24,13 @@ from infomap_ros.messages.rows import encode_rows
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.common.message_types import RclpyMessageTypes
-from infomap_ros.nodes.fusion.map_contents import without_evidence
-from infomap_ros.nodes.team.team_identity import TeamIdentityConfig
-from infomap_ros.nodes.team.team_topics import UPDATES
+from infomap_ros.nodes.fusion.map_outputs import without_evidence
+from infomap_ros.nodes.team.team_topics import UPDATES, TeamIdentityConfig
 from infomap_ros.pipeline.scan_synchronizer import ScanSynchronizerConfig
 from infomap_ros.team.config import Budget, TeamConfig
 from infomap_ros.team.member import TeamMember
 from infomap_ros.team.membership import draw_session
-from infomap_ros.team.update import MapUpdate
-from infomap_ros.team.versions import next_version, version_at
+from infomap_ros.team.update import MapUpdate, next_version, version_at
 from infomap_ros.team.wire import MAX_MESSAGE_BYTES, OCCUPANCY_ROW, encode_update
 
 _VOXEL_BYTES = 4  # of a message, about

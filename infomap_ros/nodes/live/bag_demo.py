@@ -31,10 +31,15 @@ from infomap_ros.messages.rows import decode_rows
 from infomap_ros.nodes.common.environment import reliable_inputs
 from infomap_ros.nodes.live.demo_command import run_demo_command, say_page
 from infomap_ros.nodes.live.live_graph import LiveGraph
-from infomap_ros.nodes.live.pose_comparison import PoseComparison
+from infomap_ros.nodes.live.live_truth import PoseComparison
 from infomap_ros.replay.bags.reader import BagReader
-from infomap_ros.replay.mapping.map_files import MAP_FILE, PLY_FILE, SUMMARY_FILE
-from infomap_ros.replay.mapping.range_pictures import draw_depth, draw_sigma
+from infomap_ros.replay.mapping.map_files import (
+    MAP_FILE,
+    PLY_FILE,
+    SUMMARY_FILE,
+    draw_depth,
+    draw_sigma,
+)
 from infomap_ros.stereo import PACKED_FIELDS, RangeCloud
 
 # A bag through bag_player, stereo_range and map_fusion, each a process, watched from outside.

@@ -22,8 +22,7 @@ from infomap_ros.exploration.reports.report import write_report
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.mapping.files.export import write_ply
 from infomap_ros.mapping.files.pictures import draw_map_views
-from infomap_ros.nodes.live.demo_command import run_demo_command, say_page
-from infomap_ros.nodes.live.demo_exploration import (
+from infomap_ros.nodes.live.demo_command import (
     REPORT_FILE,
     check_not_failed,
     demo_world,
@@ -31,6 +30,8 @@ from infomap_ros.nodes.live.demo_exploration import (
     empty_folder,
     exploration_parser,
     robot_results,
+    run_demo_command,
+    say_page,
     status_line,
     task_parameters,
     write_summary,
@@ -40,7 +41,7 @@ from infomap_ros.nodes.live.live_exploration import LiveExploration
 from infomap_ros.nodes.live.live_truth import LiveTruth, compare_with_truth, live_map_frame
 from infomap_ros.nodes.simulated.simulated_driver import simulated_driver
 from infomap_ros.replay.mapping.map_files import MAP_FILE, PLY_FILE
-from infomap_ros.simulation.exploring.pose_audit import pose_errors
+from infomap_ros.simulation.exploring.truth import pose_errors
 from infomap_ros.simulation.robots.robot_file import RobotFile
 from infomap_ros.simulation.worlds.builder import World
 

@@ -20,8 +20,7 @@ from infomap_ros.errors import ProcessError
 from infomap_ros.exploration.reports.comparison import write_team_report
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.mapping.files.export import write_ply
-from infomap_ros.nodes.live.demo_command import run_demo_command, say_page
-from infomap_ros.nodes.live.demo_exploration import (
+from infomap_ros.nodes.live.demo_command import (
     REPORT_FILE,
     check_not_failed,
     demo_world,
@@ -29,18 +28,19 @@ from infomap_ros.nodes.live.demo_exploration import (
     empty_folder,
     exploration_parser,
     robot_results,
+    run_demo_command,
+    say_page,
     status_line,
     task_parameters,
     write_summary,
 )
 from infomap_ros.nodes.live.kernels import TEAM, compile_kernels
-from infomap_ros.nodes.live.live_exploration import LOG_FILE
-from infomap_ros.nodes.live.live_team import LiveTeam
+from infomap_ros.nodes.live.live_exploration import LOG_FILE, LiveTeam
 from infomap_ros.nodes.live.live_truth import LiveTruth, compare_with_truth
 from infomap_ros.nodes.team.team_map import team_map_file
 from infomap_ros.replay.mapping.map_files import MAP_FILE, PLY_FILE
 from infomap_ros.simulation.exploring.truth import RunTruth
-from infomap_ros.simulation.multi_robot.team_starts import team_starts
+from infomap_ros.simulation.multi_robot.team_world import team_starts
 from infomap_ros.simulation.worlds.builder import World
 
 _ROBOTS = 2

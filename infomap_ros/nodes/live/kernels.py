@@ -20,8 +20,8 @@ from infomap_ros.errors import ProcessError
 from infomap_ros.exploration.view_planner_config import ViewPlannerConfig
 from infomap_ros.geometry import PinholeCamera
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
-from infomap_ros.nodes.fusion import map_warm_up
-from infomap_ros.nodes.locating import localization_warm_up
+from infomap_ros.nodes.fusion import map_keeper
+from infomap_ros.nodes.locating import localization_config
 from infomap_ros.nodes.planning import plan_warm_up
 from infomap_ros.pipeline.range_estimator import StereoRangeEstimator
 from infomap_ros.stereo import DepthCameraSensor, StereoConfig
@@ -67,9 +67,9 @@ def _measure() -> None:
 
 STEPS: Mapping[str, Callable[[], object]] = {
     "range": _measure,
-    "map": lambda: map_warm_up.warm_up(1),
+    "map": lambda: map_keeper.warm_up(1),
     "sharing": _share,
-    "localization": localization_warm_up.warm_up,
+    "localization": localization_config.warm_up,
     "planning": lambda: plan_warm_up.warm_up(ViewPlannerConfig(threads=1)),
 }
 """What is compiled, by name. Localization and map use range; sharing and planning use the map."""

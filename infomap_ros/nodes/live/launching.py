@@ -12,8 +12,12 @@ from typing import Any
 from infomap_ros.errors import ConfigError
 from infomap_ros.geometry.resources import find_share
 from infomap_ros.nodes.common.environment import additions, reliable_inputs
-from infomap_ros.nodes.ranging.range_sources import depth_topics, stereo_topics
-from infomap_ros.nodes.robot.image_inputs import COMPRESSED, COMPRESSED_DEPTH
+from infomap_ros.nodes.robot.image_inputs import (
+    COMPRESSED,
+    COMPRESSED_DEPTH,
+    depth_topics,
+    stereo_topics,
+)
 from infomap_ros.nodes.team.team_topics import OWN_FRAMES, SHARED
 from infomap_ros.pipeline.perception import ImageSources
 

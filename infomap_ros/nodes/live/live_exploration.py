@@ -1,30 +1,38 @@
 """An exploration as processes over DDS: simulator, driver, localization, range, map, choice, loop.
 
 The robot is driven by actions where their packages are installed, else by topics.
+
+Robots that explore one simulated world together, each node of each robot a process.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import json
+import os
+import time
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 
 from diagnostic_msgs.msg import DiagnosticStatus
 
+from infomap_ros.errors import ProcessError
+from infomap_ros.exploration.view_planner_config import ViewPlannerConfig
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.environment import reliable_inputs
-from infomap_ros.nodes.live.live_graph import LiveGraph
+from infomap_ros.nodes.live.live_graph import LiveGraph, NodeProcesses
 from infomap_ros.nodes.simulated.simulated_driver import (
     driven_simulator,
     has_actions,
     simulated_driver,
-)
-from infomap_ros.nodes.simulated.simulated_localization import (
     simulated_localization,
     simulated_motion_noise,
 )
+from infomap_ros.nodes.team.team_topics import SHARED
 from infomap_ros.replay.mapping.map_files import MAP_FILE
 from infomap_ros.simulation.cameras.stereo_camera import DRAWN_FAST
 from infomap_ros.simulation.exploring.simulated_robot import IMAGE_RATE
+from infomap_ros.simulation.multi_robot.team_world import TeamStart
 
 MISSION_FILE, LOG_FILE, ROBOT_FILE = "mission.json", "exploration.jsonl", "robot.json"
 LOCALIZATION_FILE = "localization.infomap"
@@ -187,3 +195,186 @@ class LiveExploration(LiveGraph):
 
     def _on_status(self, message: DiagnosticStatus) -> None:
         self.figures = {pair.key: pair.value for pair in message.values}
+
+
+_SHARING = ("map_fusion", "next_best_view")
+_IN_TEAM = (*_SHARING, "explorer", "fiducial_localization")
+_CLEARANCE = ViewPlannerConfig().start_clearance
+_CORES = 2
+"""That a robot's nodes need for all of its images. Where there are fewer, each node leaves out
+others than the next one does, and few scans have a pose: fewer images, all of them used, are more.
+"""
+_AGREEING = 2.0  # [s] between two comparisons of the maps
+
+
+def robot_names(robots: int) -> tuple[str, ...]:
+    """Names of the robots of a team, which are their namespaces too."""
+    return tuple(f"rover{number}" for number in range(1, robots + 1))
+
+
+def member_parameters(
+    names: Sequence[str], number: int, start: TeamStart, folder: Path
+) -> dict[str, dict[str, object]]:
+    """Parameters of the nodes of one robot of a simulated team, by node name.
+
+    Args:
+        names: of all robots.
+        number: of this one among them, from 0 on.
+        start: where it starts.
+        folder: of its files, an absolute path.
+    """
+    name = names[number]
+    nodes = robot_parameters(folder, f"/{name}")
+    nodes["simulator"] |= {
+        "teammates": [other for other in names if other != name],
+        "start": list(start.place),
+        "seed": 1 + number,
+        "publish_clock": number == 0,
+        "image_rate": IMAGE_RATE * min(1.0, (os.cpu_count() or 1) / (_CORES * len(names))),
+    }
+    member = {"robot_id": number + 1, "team": list(range(1, len(names) + 1))}
+    for node in _IN_TEAM:
+        nodes[node] |= member
+    nodes["next_best_view"]["start_clearance"] = min(_CLEARANCE, start.clearance)
+    return nodes
+
+
+class LiveTeam(LiveGraph):
+    """A team of simulated robots in namespaces ``rover1``, ``rover2``, ...
+
+    Topics below ``/team`` are common to all; each robot has its own simulator, in which the others
+    stand as well.
+
+    Args:
+        out: folder with a folder for each robot.
+        starts: of the robots in the world.
+        parameters: further parameters by node name, for all robots.
+        loss: share of the team's messages that are lost on arrival.
+
+    Attributes:
+        names: of the robots.
+        figures: what exploration_status says, by robot and name.
+        folders: of the robots' files.
+    """
+
+    def __init__(
+        self,
+        out: Path,
+        starts: Sequence[TeamStart],
+        parameters: Mapping[str, Parameters] | None = None,
+        loss: float = 0.0,
+    ) -> None:
+        super().__init__(out)
+        self.names = robot_names(len(starts))
+        self.figures: dict[str, dict[str, str]] = {name: {} for name in self.names}
+        self.folders = {name: out.absolute() / name for name in self.names}
+        self._team = {
+            name: NodeProcesses(folder / "log", f"/{name}", self._environment)
+            for name, folder in self.folders.items()
+        }
+        self._down: set[str] = set()
+        self._may_end: tuple[str, ...] = ()
+        given, self._parameters = parameters or {}, {}
+        for number, name in enumerate(self.names):
+            nodes = member_parameters(self.names, number, starts[number], self.folders[name])
+            for node in _SHARING:
+                nodes[node]["team_map.simulated_loss"] = loss
+            self._parameters[name] = {
+                node: {**values, **given.get(node, {})} for node, values in nodes.items()
+            }
+
+    def start(self) -> None:
+        """Start all nodes of all robots; the explorers begin when the other nodes are there."""
+        for name in self.names:
+            self.subscribe(
+                DiagnosticStatus,
+                f"/{name}/exploration_status",
+                partial(self._on_status, name),
+                qos.latched(),
+            )
+            self.start_robot(name)
+
+    def start_robot(self, name: str) -> None:
+        """Start all nodes of a robot, the first time or again."""
+        self._down.discard(name)
+        for node, values in self._parameters[name].items():
+            remaps = SHARED if node in _IN_TEAM else {}
+            self.pids[f"{name}/{node}"] = self._team[name].start(node, values, remaps)
+
+    def kill_robot(self, name: str) -> None:
+        """End all processes of a robot at once, as a loss of power would.
+
+        Raises:
+            ProcessError: one does not end.
+        """
+        self._down.add(name)
+        for node in self._parameters[name]:
+            self._team[name].kill(node)
+
+    def open_team_page(self) -> str:
+        """As `open_page`, as the first robot sees its team."""
+        team: dict[str, object] = {"robot_id": 1, "team": list(range(1, len(self.names) + 1))}
+        return self.open_page(f"/{self.names[0]}", team, SHARED)
+
+    def views(self, name: str) -> int:
+        """Views that a robot has taken, as far as it was told."""
+        return int(self.figures[name].get("views", "0"))
+
+    @property
+    def ended(self) -> bool:
+        """Whether all explorations have come to their ends."""
+        states = [figures.get("state", "") for figures in self.figures.values()]
+        return all(state.startswith("ended") for state in states)
+
+    def stop_looking(self) -> None:
+        """Let no robot take scans any more, so that their maps come to rest.
+
+        Raises:
+            ProcessError: a process does not end.
+        """
+        self._may_end = ("stereo_range",)
+        for processes in self._team.values():
+            processes.end("stereo_range")
+
+    def agree(self, timeout: float, tick: Callable[[], None]) -> str:
+        """Wait until all robots hold the same map; returns its hash.
+
+        Raises:
+            ProcessError: they do not within `timeout` [s].
+        """
+        end = time.monotonic() + timeout
+        while True:
+            told = {name: json.loads(self.call(_hash_service(name))) for name in self.names}
+            hashes = {account["hash"] for account in told.values()}
+            everybody = all(len(a["robots"]) == len(self.names) for a in told.values())
+            if len(hashes) == 1 and everybody:
+                return str(hashes.pop())
+            if time.monotonic() > end:
+                raise ProcessError(f"the maps are not the same after {timeout:.0f} s: {told}")
+            self.spin_for(_AGREEING, tick)
+
+    def __exit__(self, *how: object) -> None:
+        for processes in self._team.values():
+            processes.stop()
+        super().__exit__(*how)
+
+    def check(self) -> None:
+        """Make sure that all processes live, but for those that were killed on purpose.
+
+        Raises:
+            ProcessError: one has ended.
+        """
+        for name in self.names:
+            if name in self._down:
+                continue
+            try:
+                self._team[name].check(may_end=self._may_end)
+            except ProcessError as error:
+                raise ProcessError(f"{name}: {error}") from error
+
+    def _on_status(self, name: str, message: DiagnosticStatus) -> None:
+        self.figures[name] = {pair.key: pair.value for pair in message.values}
+
+
+def _hash_service(name: str) -> str:
+    return f"/{name}/map_fusion/team_hash"

@@ -10,8 +10,7 @@ from nav_msgs.msg import Odometry
 from infomap_ros.errors import FrameError
 from infomap_ros.geometry import PoseRecord
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.localization.base_pose import base_in_map
-from infomap_ros.localization.dead_reckoning import DeadReckoningConfig
+from infomap_ros.localization.dead_reckoning import DeadReckoningConfig, base_in_map
 from infomap_ros.messages import decode_pose_with_covariance
 from infomap_ros.messages.encode import encode_odometry
 from infomap_ros.nodes.common import qos

@@ -17,13 +17,13 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from infomap_ros.errors import FrameError, PoseUnavailableError
 from infomap_ros.geometry import PoseRecord, TransformRecord, invert_transform
-from infomap_ros.geometry.transform_tree import TransformTree
+from infomap_ros.geometry.pose_buffer import TransformTree
+from infomap_ros.localization.filter.config import Fiducials, KeptPoses
 from infomap_ros.localization.filter.motion_prior import RobotPosture
-from infomap_ros.localization.filter.records import Fiducials, KeptPoses
 from infomap_ros.localization.localized_camera import LocalizedCamera
 from infomap_ros.messages import encode_pose
 from infomap_ros.messages.fiducials import encode_fiducials, fiducial_rows
-from infomap_ros.messages.keyframes import (
+from infomap_ros.messages.motions import (
     KeyframePoses,
     encode_keyframe_covariances,
     encode_keyframe_poses,
@@ -40,7 +40,7 @@ from infomap_ros.nodes.locating.odom_frame import (
     OdomFrameBroadcaster,
     frame_publisher,
 )
-from infomap_ros.nodes.robot.frame_listener import FrameListener
+from infomap_ros.nodes.robot.odometry_listener import FrameListener
 from infomap_ros.nodes.robot.robot_tracker import RobotTrackerConfig
 from infomap_ros.pipeline.camera_localizer import CameraLocalizer
 from infomap_ros.pipeline.keyframe_changes import KeyframeChanges

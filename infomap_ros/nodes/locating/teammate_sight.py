@@ -22,19 +22,21 @@ from infomap_ros.exploration.team.teammate_places import TeammatePlaces, Teammat
 from infomap_ros.geometry import PlacedSolid, PoseRecord
 from infomap_ros.localization.fiducials.range_view import RangeView
 from infomap_ros.localization.localized_camera import LocalizedCamera
-from infomap_ros.localization.target.map_alignment import Alignment, align_by_sighting
-from infomap_ros.localization.target.robot_tags import RobotTagFinder
-from infomap_ros.localization.target.team_alignment import TeamAlignment, TeamTagsConfig
+from infomap_ros.localization.target.team_alignment import (
+    Alignment,
+    RobotTagFinder,
+    TeamAlignment,
+    TeamTagsConfig,
+    align_by_sighting,
+)
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.common.message_types import RclpyMessageTypes
 from infomap_ros.nodes.common.worker import Worker
 from infomap_ros.nodes.robot.robot_tracker import RobotTrackerConfig
-from infomap_ros.nodes.team.agents_topic import listen_to_agents
 from infomap_ros.nodes.team.map_moves import advertise_alignment, alignment_message, describe_move
-from infomap_ros.nodes.team.team_identity import TeamIdentityConfig
-from infomap_ros.nodes.team.team_topics import AGENTS
+from infomap_ros.nodes.team.team_topics import AGENTS, TeamIdentityConfig, listen_to_agents
 from infomap_ros.team.agent_board import AgentBoard
-from infomap_ros.team.agents_config import AgentBoardConfig
+from infomap_ros.team.agents import AgentBoardConfig
 
 _WAITING = 20  # sightings
 

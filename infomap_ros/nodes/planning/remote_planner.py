@@ -1,4 +1,10 @@
-"""The node next_best_view as the exploration sees it: asked by service, waited for."""
+"""The node next_best_view as the exploration sees it: asked by service, waited for.
+
+The topic route_status: next_best_view states there whether the planned route is still free.
+
+The explorer stops the robot when it is not. The status names the route by its digest, so that one
+about an earlier route stops nothing.
+"""
 
 from __future__ import annotations
 
@@ -7,20 +13,89 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from rclpy.client import Client
 from std_msgs.msg import Empty
 from std_srvs.srv import Trigger
 
 from infomap_ros.errors import ExplorationError, TeammatesBusyError
 from infomap_ros.exploration.mission import HOME, LAST_LOOK
-from infomap_ros.exploration.records.choice_text import choice_from_text
+from infomap_ros.exploration.records.choice_text import choice_from_text, route_digest
 from infomap_ros.exploration.robot import Choice, FailedView, KnownPlace, RobotState
 from infomap_ros.exploration.team.team_planner import WAITING
 from infomap_ros.geometry.config import check_config, setting
 from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.motion.route import Route
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
-from infomap_ros.nodes.planning.route_status import WORKING, RouteStatusListener
+
+WORKING = "working"
+"""Topic below the name of next_best_view on which it says, each second, that it works on a plan."""
+ROUTE_STATUS = "route_status"
+_FREE = "free"
+
+
+class RouteStatusPublisher:
+    """Publishes each change: OK with a new route, ERROR with the reason where it is blocked.
+
+    Args:
+        node: next_best_view.
+    """
+
+    def __init__(self, node: MonitoredNode) -> None:
+        self._publisher = node.advertise(DiagnosticStatus, ROUTE_STATUS, qos.latched())
+        self._digest, self._problem, self._log = "", "", node.get_logger()
+
+    def begin(self, route: Route) -> None:
+        """A new route was planned; it is free."""
+        self._digest, self._problem = route_digest(route), ""
+        self._publish()
+
+    def report(self, problem: str) -> None:
+        """Why what is left of the route is blocked; empty where it is free."""
+        if problem == self._problem:
+            return
+        self._problem = problem
+        self._log.info(f"route: {problem or _FREE}")
+        self._publish()
+
+    def _publish(self) -> None:
+        self._publisher.publish(
+            DiagnosticStatus(
+                level=DiagnosticStatus.ERROR if self._problem else DiagnosticStatus.OK,
+                name="route",
+                message=self._problem or _FREE,
+                values=[KeyValue(key="route", value=self._digest)],
+            )
+        )
+
+
+class RouteStatusListener:
+    """What next_best_view states of the route that is being carried out.
+
+    Args:
+        node: the explorer.
+    """
+
+    def __init__(self, node: MonitoredNode) -> None:
+        self._digest = ""
+        self._problems: dict[str, str] = {}
+        node.listen(DiagnosticStatus, ROUTE_STATUS, self._receive, qos.latched(), required=False)
+
+    def begin(self, route: Route | None) -> None:
+        """The robot is about to be moved along a route."""
+        self._digest = "" if route is None else route_digest(route)
+
+    @property
+    def problem(self) -> str:
+        """Why the route that is carried out is blocked; empty where it is free."""
+        return self._problems.get(self._digest, "")
+
+    def _receive(self, message: DiagnosticStatus) -> None:
+        digest = next((pair.value for pair in message.values if pair.key == "route"), "")
+        problem = message.message if message.level == DiagnosticStatus.ERROR else ""
+        self._problems = {digest: problem}
+
 
 _RETRY = 0.25  # [s] between two looks at a planner that is not there, answers not or has no plan
 

@@ -16,7 +16,7 @@ from infomap_ros.messages import decode_text
 from infomap_ros.motion.robot.robot_model import RobotModel
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
-from infomap_ros.nodes.robot.frame_listener import FrameListener
+from infomap_ros.nodes.robot.odometry_listener import FrameListener
 
 
 def with_prefix(description: str, prefix: str) -> str:

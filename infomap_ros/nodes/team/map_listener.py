@@ -16,13 +16,11 @@ from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.common.worker import Worker
 from infomap_ros.nodes.robot.robot_tracker import RobotTrackerConfig
 from infomap_ros.nodes.team.team_exchange import TeamExchange
-from infomap_ros.nodes.team.team_identity import TeamIdentityConfig
-from infomap_ros.nodes.team.team_inbox import TeamInbox
-from infomap_ros.nodes.team.team_topics import UPDATES
+from infomap_ros.nodes.team.team_topics import UPDATES, TeamIdentityConfig, TeamInbox
 from infomap_ros.team.config import TeamConfig
 from infomap_ros.team.member import TeamMember
 from infomap_ros.team.membership import draw_session
-from infomap_ros.team.versions import version_at
+from infomap_ros.team.update import version_at
 from infomap_ros.team.wire import decode_update
 
 Rows = NDArray[np.void]

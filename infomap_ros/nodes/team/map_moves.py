@@ -3,9 +3,10 @@
 A geometry_msgs/PoseWithCovarianceStamped: its pose is ``T_new_old``, the frame of the map as it is
 in that which it should be. Its stamp is that of the image by which this was found; zero for now.
 
-Where the team has a key, teammates tell the same on map_alignment_signed, as rows with the team's
-code (`infomap_ros.team.alignment_rows`), and map_alignment is refused. A message without an image's
-stamp is then not heard, as it could be repeated at any time.
+Where the team has a key, teammates tell the same on map_alignment_signed, and map_alignment is
+refused. As map updates, that is rows of named fields, here one row, with the header in the name of
+one more field: whom it is for, the frame, and the stamp of the image by which it was found. A
+message without an image's stamp is then not heard, as it could be repeated at any time.
 """
 
 from __future__ import annotations
@@ -15,19 +16,68 @@ from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import PoseWithCovarianceStamped
+from numpy.typing import NDArray
 from rclpy.publisher import Publisher
 from sensor_msgs.msg import PointCloud2
 
 from infomap_ros.errors import FrameError, InvalidInputError, UpdateRefusedError
-from infomap_ros.geometry import PoseRecord
+from infomap_ros.geometry import PoseRecord, check_transform
+from infomap_ros.geometry.transforms import check_covariance
 from infomap_ros.messages import decode_pose_with_covariance, encode_pose
+from infomap_ros.messages.fields import MessageTypes
 from infomap_ros.messages.rows import decode_rows, encode_rows
-from infomap_ros.messages.types import MessageTypes
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.common.worker import MOST_WAITING, Worker
-from infomap_ros.team.alignment_rows import decode_alignment, encode_alignment
-from infomap_ros.team.authentication import NOT_AUTHENTIC, TeamKey
+from infomap_ros.team.membership import NOT_AUTHENTIC, TeamKey
+from infomap_ros.team.message_header import (
+    dtype_with_header,
+    header_of,
+    whole_number,
+    without_header,
+)
+from infomap_ros.team.update import MAX_ROBOT
+
+ALIGNMENT_ROW = np.dtype([("T_new_old", "<f8", (12,)), ("covariance", "<f8", (36,))])
+"""The upper three rows of the transform, and its covariance (`geometry.transforms`), by rows."""
+
+_WHAT = "alignment"
+_MAX_STAMP = 2**63 - 1
+
+
+def encode_alignment(alignment: PoseRecord, robot: int) -> NDArray[np.void]:
+    """The row that tells a robot to move its map.
+
+    Args:
+        alignment: ``T_new_old`` with its covariance, in the map frame.
+        robot: id of the robot.
+    """
+    header = {_WHAT: robot, "frame": alignment.frame_id, "stamp": alignment.stamp}
+    rows = np.zeros(1, dtype_with_header(ALIGNMENT_ROW, header))
+    rows["T_new_old"] = alignment.transform[:3].reshape(-1)
+    if alignment.covariance is not None:
+        rows["covariance"] = alignment.covariance.reshape(-1)
+    return rows
+
+
+def decode_alignment(rows: NDArray[np.void]) -> tuple[int, PoseRecord]:
+    """Read such a row: id of the robot that is told, and what; zeros are an unknown covariance.
+
+    Raises:
+        InvalidInputError: it is not one, or its numbers are no transform or covariance.
+    """
+    header = header_of(rows, _WHAT)
+    robot = whole_number(header, _WHAT, 0, MAX_ROBOT, _WHAT)
+    stamp = whole_number(header, "stamp", 0, _MAX_STAMP, _WHAT)
+    table = without_header(rows, (ALIGNMENT_ROW,))
+    if len(table) != 1:
+        raise InvalidInputError(_WHAT, f"of {len(table)} rows, expected one")
+    transform = np.vstack([table["T_new_old"][0].reshape(3, 4), [0.0, 0.0, 0.0, 1.0]])
+    told = table["covariance"][0].reshape(6, 6)
+    covariance = check_covariance(told, 6) if told.any() else None
+    alignment = check_transform(transform, "T_new_old")
+    return robot, PoseRecord(stamp, header.get("frame", ""), alignment, covariance)
+
 
 MAP_ALIGNMENT, MAP_ALIGNMENT_SIGNED = "map_alignment", "map_alignment_signed"
 _SIZE = MOST_WAITING // 16  # as which a move of the map counts: a few may wait

@@ -15,12 +15,10 @@ from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.common.message_types import RclpyMessageTypes
 from infomap_ros.nodes.robot.robot_tracker import RobotTracker, RobotTrackerConfig
-from infomap_ros.nodes.team.agents_topic import listen_to_agents
-from infomap_ros.nodes.team.team_identity import TeamIdentityConfig
-from infomap_ros.nodes.team.team_topics import AGENTS
-from infomap_ros.team.agents_config import AgentsConfig
+from infomap_ros.nodes.team.team_topics import AGENTS, TeamIdentityConfig, listen_to_agents
+from infomap_ros.team.agents import AgentsConfig
 from infomap_ros.team.membership import draw_session
-from infomap_ros.team.versions import version_at
+from infomap_ros.team.update import version_at
 
 _TICK = 0.05  # between two looks whether there is something to tell [s]
 _HEARTBEAT = 1.0  # longest time without a message, also where nothing moves [s]

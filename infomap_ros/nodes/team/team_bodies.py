@@ -15,8 +15,7 @@ from functools import partial
 from std_msgs.msg import String
 
 from infomap_ros.errors import UpdateRefusedError
-from infomap_ros.exploration.team.team_bodies import TeamBodies, TeamBodiesConfig
-from infomap_ros.exploration.team.teammate_places import BodyInScan
+from infomap_ros.exploration.team.teammate_places import BodyInScan, TeamBodies, TeamBodiesConfig
 from infomap_ros.geometry import PoseRecord
 from infomap_ros.geometry.config import check_config, setting
 from infomap_ros.mapping.scans.body import BodyFilterConfig
@@ -26,12 +25,10 @@ from infomap_ros.motion.robot.urdf import hash_of_description
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.robot.robot_body import RobotBodyConfig
-from infomap_ros.nodes.team.agents_topic import listen_to_agents
-from infomap_ros.nodes.team.team_identity import TeamIdentityConfig
+from infomap_ros.nodes.team.team_topics import TeamIdentityConfig, listen_to_agents
 from infomap_ros.team.agent_board import AgentBoard
-from infomap_ros.team.agents import Agent
-from infomap_ros.team.agents_config import AgentBoardConfig
-from infomap_ros.team.authentication import NOT_AUTHENTIC
+from infomap_ros.team.agents import Agent, AgentBoardConfig
+from infomap_ros.team.membership import NOT_AUTHENTIC
 
 _MOST_DESCRIPTIONS = 64
 _LONGEST_KEPT = 1 << 20  # characters of a text that came before its hash

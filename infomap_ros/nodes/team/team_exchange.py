@@ -15,11 +15,10 @@ from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.common.message_types import RclpyMessageTypes
 from infomap_ros.nodes.common.worker import Worker
-from infomap_ros.nodes.team.team_inbox import TeamInbox
-from infomap_ros.nodes.team.team_topics import DIGESTS, REQUESTS
-from infomap_ros.team.authentication import TeamKey
+from infomap_ros.nodes.team.team_topics import DIGESTS, REQUESTS, TeamInbox
 from infomap_ros.team.config import TeamConfig
 from infomap_ros.team.member import TeamMember
+from infomap_ros.team.membership import TeamKey
 
 Rows = NDArray[np.void]
 NOT_HEARD = "not heard by a teammate"

@@ -20,8 +20,7 @@ from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.common.worker import Worker
 from infomap_ros.nodes.fusion.update_stream import UpdateStream
 from infomap_ros.nodes.team.team_exchange import TeamExchange
-from infomap_ros.nodes.team.team_inbox import TeamInbox
-from infomap_ros.nodes.team.team_topics import UPDATES
+from infomap_ros.nodes.team.team_topics import UPDATES, TeamInbox
 from infomap_ros.pipeline.scan_synchronizer import ScanSynchronizerConfig
 from infomap_ros.team.config import TeamConfig
 from infomap_ros.team.digest import decode_digest

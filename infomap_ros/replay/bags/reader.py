@@ -18,11 +18,20 @@ from infomap_ros.geometry.camera import CameraCalibration
 from infomap_ros.geometry.records import CameraInfoRecord, Record
 from infomap_ros.messages import DECODABLE_TYPES, decode
 from infomap_ros.replay.bags.blocks import Salvage, SalvagedSource
-from infomap_ros.replay.bags.bounds import bound_rosbags, check_lengths, check_tables, unpacked_cdr
 from infomap_ros.replay.bags.salvage_mcap import salvage_mcap
 from infomap_ros.replay.bags.salvage_rosbag1 import salvage_rosbag1
 from infomap_ros.replay.bags.salvage_sqlite import salvage_sqlite, stated_size
-from infomap_ros.replay.bags.source import DAMAGE, BagSource, Channel, RosbagsSource, typestore_of
+from infomap_ros.replay.bags.source import (
+    DAMAGE,
+    BagSource,
+    Channel,
+    RosbagsSource,
+    bound_rosbags,
+    check_lengths,
+    check_tables,
+    typestore_of,
+    unpacked_cdr,
+)
 
 bound_rosbags()
 

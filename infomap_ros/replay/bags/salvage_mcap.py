@@ -15,8 +15,13 @@ from pathlib import Path
 
 from infomap_ros.errors import BagError
 from infomap_ros.replay.bags.blocks import RawMessage, Salvage, read_exactly
-from infomap_ros.replay.bags.bounds import unpacked_chunk
-from infomap_ros.replay.bags.source import DAMAGE, Channel, absolute, is_latched_by_custom
+from infomap_ros.replay.bags.source import (
+    DAMAGE,
+    Channel,
+    absolute,
+    is_latched_by_custom,
+    unpacked_chunk,
+)
 
 _MAGIC = b"\x89MCAP0\r\n"
 _HEADER = struct.Struct("<BQ")

@@ -18,8 +18,13 @@ from rosbags.typesys.msg import normalize_msgtype
 
 from infomap_ros.errors import BagError
 from infomap_ros.replay.bags.blocks import RawMessage, Salvage, read_exactly
-from infomap_ros.replay.bags.bounds import MOST_CHUNK
-from infomap_ros.replay.bags.source import DAMAGE, Channel, absolute, is_latched_by_custom
+from infomap_ros.replay.bags.source import (
+    DAMAGE,
+    MOST_CHUNK,
+    Channel,
+    absolute,
+    is_latched_by_custom,
+)
 
 _FIRST_LINE = b"#ROSBAG V2.0\n"
 _MESSAGE, _CHUNK, _CONNECTION = 2, 5, 7

@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 
 from infomap_ros.geometry import quaternion_from_transform
 from infomap_ros.geometry.atomic_file import write_text
-from infomap_ros.replay.localizing.localize_run import LocalizeRun
-from infomap_ros.replay.localizing.trajectory import Trajectory
+from infomap_ros.replay.localizing.localize_run import LocalizeRun, Trajectory
 
 TRAJECTORY_FILE, CORRECTED_FILE = "trajectory.txt", "corrected_trajectory.txt"
 COVARIANCE_FILE, SUMMARY_FILE = "covariances.txt", "summary.json"

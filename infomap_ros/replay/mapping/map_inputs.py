@@ -9,7 +9,7 @@ from itertools import islice
 import numpy as np
 
 from infomap_ros.errors import BagError, FrameError, PoseUnavailableError, RobotModelError
-from infomap_ros.exploration.reports.report_page.axes import rounded_up
+from infomap_ros.exploration.reports.report_page.charts import rounded_up
 from infomap_ros.geometry import (
     OdometryRecord,
     PoseBufferConfig,
@@ -20,7 +20,7 @@ from infomap_ros.geometry import (
 )
 from infomap_ros.geometry.assumed_pose import AssumedPoseConfig
 from infomap_ros.geometry.config import parameter, parameters_of
-from infomap_ros.geometry.transform_tree import TransformTree
+from infomap_ros.geometry.pose_buffer import TransformTree
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.localization.dead_reckoning import DeadReckoningConfig
 from infomap_ros.localization.fiducials.sparse_stereo import SparseStereoConfig
@@ -40,8 +40,10 @@ from infomap_ros.pipeline.range_estimator import (
 )
 from infomap_ros.pipeline.robot_body import RobotBody
 from infomap_ros.pipeline.scan_synchronizer import LocatedPoses
-from infomap_ros.replay.bags.bag_contents import (
+from infomap_ros.replay.bags.image_choice import (
+    ImageInputConfig,
     description_in,
+    find_images,
     frame_of,
     joint_topics_of,
     moving_tf_topics,
@@ -49,17 +51,16 @@ from infomap_ros.replay.bags.bag_contents import (
     tf_topics_of,
     types_of,
 )
-from infomap_ros.replay.bags.image_choice import ImageInputConfig, find_images
 from infomap_ros.replay.bags.reader import Recording
 from infomap_ros.replay.bags.topics import Topics, find_pose_topic
-from infomap_ros.replay.localizing.localize_inputs import (
+from infomap_ros.replay.localizing.localize_run import (
     LocalizeInputConfig,
     LocalizeInputs,
     LocalizeOptions,
     MotionInputConfig,
     find_localize_inputs,
+    records_of,
 )
-from infomap_ros.replay.localizing.localize_run import records_of
 from infomap_ros.stereo import DepthCameraConfig, StereoConfig
 
 

@@ -16,8 +16,11 @@ from infomap_ros.pipeline.range_estimator import RangeMeasurement
 from infomap_ros.pipeline.scan_synchronizer import ScanSynchronizer
 from infomap_ros.replay.bags.background import in_background
 from infomap_ros.replay.bags.reader import Recording
-from infomap_ros.replay.localizing.localization_log import LocalizationLog
-from infomap_ros.replay.localizing.localize_run import make_localization, records_of
+from infomap_ros.replay.localizing.localize_run import (
+    LocalizationLog,
+    make_localization,
+    records_of,
+)
 from infomap_ros.replay.mapping.map_inputs import (
     MapInputs,
     MapOptions,

@@ -20,15 +20,16 @@ from infomap_ros.geometry import (
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.replay.sequences.calibration_files import Calibration, read_calibration
 from infomap_ros.replay.sequences.frame_files import (
+    ColorCamera,
     Stamped,
     images_in,
     nearest_rigid,
     paired,
     read_poses,
+    register_depth,
     stamped_by_file,
     stamped_by_name,
 )
-from infomap_ros.replay.sequences.registration import ColorCamera, register_depth
 from infomap_ros.replay.sequences.sequence import ImageSequence, Pixels, Stream, read_image
 
 _KITTI_PAIRS = (

@@ -11,8 +11,7 @@ import numpy as np
 from infomap_ros.errors import RobotModelError, SimulationError
 from infomap_ros.geometry import make_transform, quaternion_from_transform
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.localization.target.tag_board import TagBoard, TagBoardConfig, cells
-from infomap_ros.localization.target.tag_drawing import draw_board
+from infomap_ros.localization.target.tag_board import TagBoard, TagBoardConfig, cells, draw_board
 from infomap_ros.simulation.body.dynamics import DynamicsConfig, add_dynamics
 from infomap_ros.simulation.body.robot import add_robot
 from infomap_ros.simulation.body.robot_setup import RobotSetupConfig

@@ -1,18 +1,32 @@
-"""The cameras on a simulated robot: a raw stereo pair with noise, when asked."""
+"""The cameras on a simulated robot: a raw stereo pair with noise, when asked.
+
+A depth camera at the place of the left camera of a simulated robot.
+
+Noise along the ray follows Nguyen, Izadi and Lovell (2012, doi:10.1109/3DIMPVT.2012.84):
+``sigma_base + sigma_quadratic (z - sigma_depth)^2``; part of it is the same for neighboring
+pixels. Across the ray, each pixel reads the depth of a place beside it.
+"""
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import ClassVar, NamedTuple
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from infomap_ros.geometry import make_transform
+from infomap_ros.geometry import CameraCalibration, PinholeCamera, make_transform
+from infomap_ros.geometry.config import check_config, setting
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.simulation.body.robot_body import RobotBody
-from infomap_ros.simulation.cameras.image_sensor import ImageSensor, ImageSensorConfig
 from infomap_ros.simulation.cameras.rendering import Renderer
-from infomap_ros.simulation.cameras.stereo_camera import StereoCamera, StereoCameraConfig
+from infomap_ros.simulation.cameras.stereo_camera import (
+    ImageSensor,
+    ImageSensorConfig,
+    StereoCamera,
+    StereoCameraConfig,
+)
 
 _GAIN_MISMATCH = 1.02
 _EXPOSURES = 24  # images that the exposure control has seen since the last pair
@@ -96,3 +110,122 @@ class Eyes:
         if self._renderer is not None:
             self._renderer.close()
             self._renderer = None
+
+
+_PATCH = 2.5  # [px] standard deviation of what neighboring pixels share
+
+
+@dataclass(frozen=True)
+class DepthEyeConfig:
+    """Parameters of the depth camera."""
+
+    nearest: float = setting(0.3, "Smallest depth.", unit="m", low=0.0, high=10.0)
+    farthest: float = setting(6.0, "Largest depth.", unit="m", low=0.1, high=100.0)
+    sigma_base: float = setting(0.0012, "Noise at sigma_depth.", unit="m", low=0.0, high=1.0)
+    sigma_quadratic: float = setting(
+        0.0019, "Growth of the noise with (z - sigma_depth)^2.", unit="1/m", low=0.0, high=1.0
+    )
+    sigma_depth: ClassVar[float] = 0.4
+    """Depth at which the noise is smallest [m]."""
+    shared: ClassVar[float] = 0.3
+    """Share of the variance that neighboring pixels have in common."""
+    pixel_sigma: float = setting(
+        0.5, "Standard deviation of the ray across the image.", unit="px", low=0.0, high=5.0
+    )
+    quantization: float = setting(
+        0.001, "Step of the depth values; 0 for none.", unit="m", low=0.0, high=0.1
+    )
+
+    def __post_init__(self) -> None:
+        """Validate all fields."""
+        check_config(self)
+
+
+class DepthImage(NamedTuple):
+    """A depth image.
+
+    Attributes:
+        stamp: [ns].
+        depth: z in the left optical frame, shape (H, W), float32 [m]; NaN = no measurement.
+    """
+
+    stamp: int
+    depth: NDArray[np.float32]
+
+
+class DepthEye:
+    """Takes depth images with noise.
+
+    Args:
+        body: the robot.
+        camera: undistorted camera of the depth image.
+        config: the parameters.
+        rng: source of the noise.
+    """
+
+    def __init__(
+        self,
+        body: RobotBody,
+        camera: PinholeCamera,
+        config: DepthEyeConfig,
+        rng: np.random.Generator,
+    ) -> None:
+        self.camera = camera
+        self._body, self._config, self._rng = body, config, rng
+        self._renderer: Renderer | None = None
+
+    @property
+    def calibration(self) -> CameraCalibration:
+        """What the camera info of the depth image says."""
+        k, camera = self.camera.matrix, self.camera
+        projection = np.column_stack([k, np.zeros(3)])
+        return CameraCalibration(
+            camera.width, camera.height, "plumb_bob", np.zeros(5), k, np.eye(3), projection
+        )
+
+    def look(self, stamp: int) -> DepthImage:
+        """Take an image; the first one opens a renderer, which belongs to the calling thread.
+
+        Raises:
+            SimulationError: this machine cannot draw images.
+        """
+        if self._renderer is None:
+            camera = self.camera
+            self._renderer = Renderer(self._body.model, camera.width, camera.height)
+        place = self._body.frame(self._body.setup.left_camera_frame)
+        truth = self._renderer.depth(self._body.data, place, self.camera)
+        return DepthImage(stamp, self.measure(truth))
+
+    def measure(self, truth: NDArray[np.float32]) -> NDArray[np.float32]:
+        """What the camera makes of true depths, shape (H, W) [m]; NaN = nothing there."""
+        config = self._config
+        z = self._beside(truth)
+        spread = config.sigma_base + config.sigma_quadratic * (z - config.sigma_depth) ** 2
+        z = z + spread * self._noise(z.shape)
+        if config.quantization:
+            z = np.rint(z / config.quantization) * config.quantization
+        in_range = (z >= config.nearest) & (z <= config.farthest)
+        return np.where(in_range, z, np.nan).astype(np.float32)
+
+    def close(self) -> None:
+        """Free the renderer."""
+        if self._renderer is not None:
+            self._renderer.close()
+            self._renderer = None
+
+    def _beside(self, depth: NDArray[np.float32]) -> FloatArray:
+        """Each pixel from a place beside it."""
+        rows, columns = np.indices(depth.shape)
+        shifts = self._rng.normal(0.0, self._config.pixel_sigma, (2, *depth.shape))
+        v = (rows + shifts[0]).astype(np.float32)
+        u = (columns + shifts[1]).astype(np.float32)
+        moved = cv2.remap(depth, u, v, cv2.INTER_NEAREST, borderMode=cv2.BORDER_REPLICATE)
+        return np.asarray(moved, dtype=np.float64)
+
+    def _noise(self, shape: tuple[int, ...]) -> FloatArray:
+        """Unit noise, a share of it smooth over a few pixels."""
+        white, rough = self._rng.standard_normal((2, *shape))
+        smooth = cv2.GaussianBlur(rough, (0, 0), _PATCH)
+        smooth *= 2.0 * np.sqrt(np.pi) * _PATCH  # back to unit variance
+        share = self._config.shared
+        return np.asarray(np.sqrt(1.0 - share) * white + np.sqrt(share) * smooth)

@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 
 from infomap_ros.errors import ConfigError, InvalidInputError, PoseUnavailableError
-from infomap_ros.exploration.control import Control
 from infomap_ros.exploration.fiducial_error import FiducialLocalizationError
 from infomap_ros.exploration.loop import Ending, EndReason, Exploration
 from infomap_ros.exploration.mission import Mission
@@ -28,6 +27,7 @@ from infomap_ros.exploration.records.run_figures import (
 from infomap_ros.exploration.records.run_log import RunLogFile
 from infomap_ros.exploration.reports.report import write_report
 from infomap_ros.exploration.robot import Choice, FailedView, KnownPlace, RobotState
+from infomap_ros.exploration.rules import Control
 from infomap_ros.exploration.task import TaskConfig
 from infomap_ros.exploration.view_planner import Surrounding, ViewPlanner, ViewPlannerConfig
 from infomap_ros.geometry import invert_transform, transform_points
@@ -42,17 +42,15 @@ from infomap_ros.motion.base.path_following import PathFollowingConfig
 from infomap_ros.motion.robot.robot_model import RobotModel
 from infomap_ros.replay.mapping.map_files import MAP_FILE, PLY_FILE, SUMMARY_FILE
 from infomap_ros.simulation.body.robot import read_description
-from infomap_ros.simulation.exploring.pose_audit import PoseAudit
 from infomap_ros.simulation.exploring.simulated_robot import SimulatedRobot, SimulatedRobotConfig
-from infomap_ros.simulation.exploring.truth import RunTruth, TrueSurface
+from infomap_ros.simulation.exploring.truth import PoseAudit, RunTruth, TrueSurface
 from infomap_ros.simulation.simulator import Simulator, SimulatorConfig
 from infomap_ros.simulation.worlds.builder import World
 from infomap_ros.simulation.worlds.file_world import WORLD_FILES, is_world_file
 from infomap_ros.simulation.worlds.scenes import WORLDS, make_world
 from infomap_ros.team.config import TeamConfig
 from infomap_ros.team.replica import MapReplica
-from infomap_ros.team.update import MapUpdate
-from infomap_ros.team.versions import next_version
+from infomap_ros.team.update import MapUpdate, next_version
 from infomap_ros.team.wire import decode_update, encode_update
 
 _ROBOT, _SESSION = 1, 1

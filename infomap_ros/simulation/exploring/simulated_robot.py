@@ -14,8 +14,7 @@ from typing import Protocol
 from infomap_ros.errors import PoseUnavailableError
 from infomap_ros.exploration.commanded_robot import CommandedRobot, CommandedRobotConfig
 from infomap_ros.exploration.robot import Interrupted, RobotState
-from infomap_ros.exploration.team.team_bodies import TeamBodies
-from infomap_ros.exploration.team.teammate_places import BodyInScan
+from infomap_ros.exploration.team.teammate_places import BodyInScan, TeamBodies
 from infomap_ros.geometry import (
     JointStateRecord,
     OdometryRecord,
@@ -28,8 +27,8 @@ from infomap_ros.geometry import (
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.localization.dead_reckoning import DeadReckoningConfig
+from infomap_ros.localization.filter.config import Fiducials
 from infomap_ros.localization.filter.motion_prior import KinematicMotion
-from infomap_ros.localization.filter.records import Fiducials
 from infomap_ros.localization.localizer_config import CalibrationConfig, LocalizerConfig
 from infomap_ros.localization.saved_localization import SavedLocalization
 from infomap_ros.localization.target.config import TargetConfig, make_detector

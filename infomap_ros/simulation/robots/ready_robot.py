@@ -14,13 +14,12 @@ from infomap_ros.simulation.body.extended_description import (
     CART_WHEELS,
     DEFAULT_CAMERA,
     extended_description,
+    mend_inertias,
     root_link,
 )
-from infomap_ros.simulation.body.mended_inertias import mend_inertias
-from infomap_ros.simulation.body.robot_meshes import unreadable_meshes
+from infomap_ros.simulation.body.robot import unreadable_meshes
 from infomap_ros.simulation.body.robot_setup import RobotSetupConfig
-from infomap_ros.simulation.robots.camera_parts import find_cameras, joints_between
-from infomap_ros.simulation.robots.wheel_parts import find_wheels
+from infomap_ros.simulation.robots.camera_parts import find_cameras, find_wheels, joints_between
 
 _LEAST_BASELINE = 0.005  # [m]
 

@@ -2,12 +2,14 @@
 
 It is a ROS parameter file whose section for all nodes, ``/**``, holds the robot. Each node takes
 what it knows of it.
+
+Names of the parameters that a robot's file may hold for all nodes.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
@@ -21,7 +23,30 @@ from infomap_ros.motion.base.vehicle import VehicleConfig
 from infomap_ros.simulation.body.drive_train import DriveTrainConfig
 from infomap_ros.simulation.body.robot import find_description
 from infomap_ros.simulation.body.robot_setup import RobotSetupConfig
-from infomap_ros.simulation.robots.robot_parameters import OTHERS, PARAMETERS, SECTIONS, SETUP
+
+_SHARED = ("base_frame", "arm_joints")  # of planning and simulation, by the same name
+
+SECTIONS = ("/**", "/**/simulator")
+"""Sections of a parameter file in which a robot may stand."""
+SETUP = {
+    one.name if one.name in _SHARED else f"robot.{one.name}": one.name
+    for one in fields(RobotSetupConfig)
+}
+"""Field of `RobotSetupConfig` by its parameter."""
+OTHERS = {
+    "description": "world.description",
+    "drive.turn_gain": "simulator.drive.turn_gain",
+    "reaching.vehicle.wheel_links": "planner.reaching.vehicle.wheel_links",
+    "reaching.vehicle.footprint": "planner.reaching.vehicle.footprint",
+    "reaching.vehicle.ground_height": "planner.reaching.vehicle.ground_height",
+    "reaching.vehicle.max_step": "planner.reaching.vehicle.max_step",
+    "reaching.collision.ground_links": "planner.reaching.collision.ground_links",
+}
+"""Setting of ``infomap explore`` by the parameter, of those that are not of the setup."""
+_OF_NODES = ("robot.assumed_joints", "robot.mesh_folders", "controllers", "arm")
+PARAMETERS = frozenset({*SETUP, *OTHERS, *_OF_NODES})
+"""All of them. A node leaves those alone that it does not have."""
+
 
 _BASE_FRAME = "base_link"  # of the nodes, where none is given
 _OF_CART = ("left_wheels", "right_wheels", "casters")

@@ -31,17 +31,18 @@ from infomap_ros.simulation.robots.camera_parts import (
     LEAST_BASELINE,
     ArmEnd,
     CameraPart,
+    WheelParts,
     find_arm_ends,
     find_cameras,
     find_telescopes,
+    find_wheels,
     joints_between,
+    link_extents,
 )
-from infomap_ros.simulation.robots.home_posture import home_posture
+from infomap_ros.simulation.robots.home_posture import home_posture, tucked_arms
 from infomap_ros.simulation.robots.ready_robot import initial_positions, mended_parts
 from infomap_ros.simulation.robots.robot_file import RobotFile
 from infomap_ros.simulation.robots.trial_drive import TrialDrive, try_drive
-from infomap_ros.simulation.robots.tucked_arms import tucked_arms
-from infomap_ros.simulation.robots.wheel_parts import WheelParts, find_wheels, link_extents
 
 _FEWEST_JOINTS = 4  # that move a camera by which a robot looks into corners
 _FEWEST_WHEELS = 3  # on which planning can have it stand

@@ -9,14 +9,19 @@ import numpy as np
 from infomap_ros.geometry.config import parameter
 from infomap_ros.simulation.worlds import textures
 from infomap_ros.simulation.worlds.builder import SceneBuilder, World
-from infomap_ros.simulation.worlds.natural_ground import (
+from infomap_ros.simulation.worlds.rocks import (
+    Places,
+    add_boulder,
+    boulder,
+    bounded_terrain,
+    upright,
+)
+from infomap_ros.simulation.worlds.target_board import stand_board_ahead
+from infomap_ros.simulation.worlds.terrain import (
     NaturalGroundConfig,
     node_count,
     uneven_floor,
 )
-from infomap_ros.simulation.worlds.placing import Places, add_boulder, bounded_terrain, upright
-from infomap_ros.simulation.worlds.rocks import boulder
-from infomap_ros.simulation.worlds.target_board import stand_board_ahead
 
 _GAP = 0.9  # [m] between things, for a rover of 0.4 m
 _MARGIN = 0.8  # [m] of ground beyond the walls

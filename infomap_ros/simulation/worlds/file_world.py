@@ -17,7 +17,7 @@ from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping.files.octomap_file import read_octree
 from infomap_ros.simulation.worlds import textures
 from infomap_ros.simulation.worlds.builder import BOX_CORNERS, BOX_FACES, SceneBuilder, World
-from infomap_ros.simulation.worlds.placing import Places
+from infomap_ros.simulation.worlds.rocks import Places
 from infomap_ros.simulation.worlds.surface import SurfaceModel, SurfacePart
 from infomap_ros.simulation.worlds.target_board import stand_board_ahead
 from infomap_ros.simulation.worlds.terrain import Terrain

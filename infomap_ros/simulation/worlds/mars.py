@@ -11,14 +11,14 @@ from infomap_ros.geometry.config import parameter
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.simulation.worlds import textures
 from infomap_ros.simulation.worlds.builder import SceneBuilder, World
-from infomap_ros.simulation.worlds.natural_ground import (
+from infomap_ros.simulation.worlds.rocks import Places, add_boulder, bounded_terrain, upright
+from infomap_ros.simulation.worlds.target_board import stand_board_ahead
+from infomap_ros.simulation.worlds.terrain import (
     NaturalGroundConfig,
+    Terrain,
     node_count,
     uneven_floor,
 )
-from infomap_ros.simulation.worlds.placing import Places, add_boulder, bounded_terrain, upright
-from infomap_ros.simulation.worlds.target_board import stand_board_ahead
-from infomap_ros.simulation.worlds.terrain import Terrain
 
 _RIM = 1.0  # [m] width of the rim
 _GAP = 0.85  # [m] between things, for a rover of 0.4 m

@@ -9,7 +9,7 @@ import numpy as np
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.simulation.worlds import textures
 from infomap_ros.simulation.worlds.builder import SceneBuilder, World
-from infomap_ros.simulation.worlds.placing import Places, upright
+from infomap_ros.simulation.worlds.rocks import Places, upright
 from infomap_ros.simulation.worlds.target_board import hang_board
 from infomap_ros.simulation.worlds.terrain import Terrain
 

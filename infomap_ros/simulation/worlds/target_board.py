@@ -1,6 +1,6 @@
 """The board of tags near the start of every world: what robots take for the origin of their map.
 
-The front of the board shows the image that `infomap_ros.localization.target.tag_drawing` prints.
+The front of the board shows the image that `infomap_ros.localization.target.tag_board` prints.
 """
 
 from __future__ import annotations
@@ -9,10 +9,9 @@ import cv2
 import numpy as np
 
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.localization.target.tag_board import TagBoard, TagBoardConfig
-from infomap_ros.localization.target.tag_drawing import draw_board
+from infomap_ros.localization.target.tag_board import TagBoard, TagBoardConfig, draw_board
 from infomap_ros.simulation.worlds.builder import SceneBuilder
-from infomap_ros.simulation.worlds.placing import Places, upright
+from infomap_ros.simulation.worlds.rocks import Places, upright
 from infomap_ros.simulation.worlds.textures import Image
 
 WORLD_BOARD = TagBoardConfig(side=0.2, gap=0.03, margin=0.03)

@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.studies.baselines.frontiers import turned_views
-from infomap_ros.studies.baselines.proposals import places_of, scores_of, told_by
-from infomap_ros.studies.baselines.tree import Tree, grow_tree
+from infomap_ros.studies.baselines.frontiers import places_of, scores_of, told_by, turned_views
+from infomap_ros.studies.baselines.view_tree import Tree, grow_tree
 from infomap_ros.views.ranking.options import Options
 from infomap_ros.views.ranking.rating import Ratings
 from infomap_ros.views.ranking.strategy import Scores

@@ -12,12 +12,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.studies.baselines.frontiers import Frontier, find_frontiers, level_views
-from infomap_ros.studies.baselines.proposals import places_of, scores_of, told_by
+from infomap_ros.studies.baselines.frontiers import (
+    Frontier,
+    find_frontiers,
+    level_views,
+    places_of,
+    scores_of,
+    told_by,
+)
 from infomap_ros.views.ranking.options import Options
 from infomap_ros.views.ranking.rating import Ratings
 from infomap_ros.views.ranking.strategy import Scores
-from infomap_ros.views.sampling import sight_kernels
+from infomap_ros.views.sampling import coarse_views
 from infomap_ros.views.sampling.surroundings import Surroundings
 from infomap_ros.views.situation import Situation
 
@@ -154,7 +160,7 @@ def _in_sight(
     seen = np.empty(len(targets), np.bool_)
     origin = spot / surroundings.voxel_size - surroundings.window.first
     places = surroundings.window.positions_of(targets)
-    sight_kernels.mark_in_sight(surroundings.states, origin, places, seen)
+    coarse_views.mark_in_sight(surroundings.states, origin, places, seen)
     return seen
 
 

@@ -1,4 +1,12 @@
-"""Frontiers of a planar map: free cells beside unknown ones, in groups."""
+"""Frontiers of a planar map: free cells beside unknown ones, in groups.
+
+The nearest frontier.
+
+B. Yamauchi, "A frontier-based approach for autonomous exploration", CIRA 1997,
+doi:10.1109/CIRA.1997.613851.
+
+Views that a strategy proposed, found again among the options.
+"""
 
 from __future__ import annotations
 
@@ -10,6 +18,9 @@ from scipy import ndimage
 
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import FREE, UNKNOWN
+from infomap_ros.views.ranking.options import Options
+from infomap_ros.views.ranking.rating import Ratings
+from infomap_ros.views.ranking.strategy import Scores
 from infomap_ros.views.sampling.orientations import look_rotations
 from infomap_ros.views.sampling.surroundings import Surroundings
 from infomap_ros.views.situation import Situation
@@ -112,3 +123,87 @@ def turned_views(places: FloatArray, turns: int) -> FloatArray:
     """Views all around from places, (N, 3) [m, map] -> (N * turns, 4, 4), place by place."""
     azimuths = np.tile(2.0 * np.pi * np.arange(turns) / turns - np.pi, len(places))
     return level_views(np.repeat(places, turns, axis=0), azimuths)
+
+
+_BELOW = -1e9  # of views that a strategy did not propose
+_SAME_TURN = 0.05  # [rad]
+
+
+def places_of(options: Options, poses: FloatArray) -> NDArray[np.int64]:
+    """Which option each pose, shape (N, 4, 4), is; -1 for those that a test ruled out."""
+    known = {
+        pose.tobytes(): index for index, pose in enumerate(np.ascontiguousarray(options.poses))
+    }
+    rows = np.ascontiguousarray(poses, dtype=np.float64)
+    return np.array([known.get(pose.tobytes(), -1) for pose in rows], np.int64)
+
+
+def told_by(options: Options, ratings: Ratings, places: NDArray[np.int64]) -> FloatArray:
+    """What proposed views are expected to tell, shape (N,) [full views].
+
+    0 for views that a test ruled out, and for views that were taken before: one look makes all in
+    sight certain, so that what is still expected of them never comes.
+
+    Args:
+        options: all views.
+        ratings: of these.
+        places: of the proposed views, shape (N,), see `places_of`.
+    """
+    told = np.where(places >= 0, ratings.shares[places], 0.0)
+    poses, near = options.poses[places], 0.5 * options.surroundings.voxel_size
+    for past in options.situation.past_views:
+        same = np.linalg.norm(poses[:, :3, 3] - past[:3, 3], axis=1) < near
+        same &= poses[:, :3, 2] @ past[:3, 2] > np.cos(_SAME_TURN)
+        told[same] = 0.0
+    return np.asarray(told)
+
+
+def scores_of(
+    options: Options, places: NDArray[np.int64], values: FloatArray, others: FloatArray
+) -> FloatArray:
+    """Scores of all options: values, (N,), of the proposed ones at `places`, (N,).
+
+    Others come after all of these, by their values in `others`, shape (M,), for when nothing that
+    was proposed can be chosen.
+    """
+    scores = _BELOW + np.clip(others, -1e6, 1e6)
+    found = places >= 0
+    scores[places[found]] = np.maximum(values[found], 0.5 * _BELOW)
+    return scores
+
+
+_TURNS = 12
+_NOTHING = 0.002  # a view that tells less shows nothing of a frontier [full views]
+
+
+class NearestFrontier:
+    """Goes to the frontier with the shortest way to its center, and looks where most is unknown.
+
+    The paper's robot looks all around when it has arrived. A sensor with a narrower field of view
+    looks at what tells most, and again as long as a frontier is left there.
+    """
+
+    requires_positive_utility = False
+
+    def __init__(self) -> None:
+        self._proposed = np.empty((0, 4, 4))
+
+    def propose(
+        self, situation: Situation, surroundings: Surroundings, rng: np.random.Generator
+    ) -> FloatArray:
+        """The centers of all frontiers, with directions all around."""
+        found = find_frontiers(situation, surroundings)
+        places = np.array([frontier.center for frontier in found]).reshape(-1, 3)
+        self._proposed = turned_views(places, _TURNS)
+        return self._proposed
+
+    def score(self, options: Options, ratings: Ratings) -> Scores:
+        """Minus the way to the frontier [m]; of directions at one place, by information.
+
+        Views that tell nothing, or were taken in vain, come last.
+        """
+        places = places_of(options, self._proposed)
+        told = told_by(options, ratings, places)
+        lengths = np.where(told > _NOTHING, options.path_lengths[places], np.inf)
+        values = -np.where(np.isfinite(lengths), lengths, 1e6) + 1e-3 * told
+        return Scores(scores_of(options, places, values, ratings.ratings))

@@ -1,12 +1,16 @@
-"""The runs of a study: many, over the cores, each kept in a file as soon as it is done."""
+"""The runs of a study: many, over the cores, each kept in a file as soon as it is done.
+
+Tables of a study as CSV.
+"""
 
 from __future__ import annotations
 
+import csv
 import dataclasses
 import os
 import signal
 import threading
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Hashable, Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from multiprocessing import get_context, parent_process
 from multiprocessing.connection import wait
@@ -162,3 +166,27 @@ def _run_and_keep(task: Task[Result], kept: Kept[Result]) -> Result:
     result = task.run()
     kept.save(task, result)
     return result
+
+
+def write_rows(rows: Sequence[object], path: Path) -> None:
+    """Write dataclass objects of one class, one per line."""
+    names = [field.name for field in dataclasses.fields(rows[0])] if rows else []  # type: ignore[arg-type]
+    write_lines(names, ([getattr(row, name) for name in names] for row in rows), path)
+
+
+def write_lines(names: Sequence[str], lines: Iterable[Sequence[object]], path: Path) -> None:
+    """Write a header and lines; floats with five digits."""
+    with path.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(names)
+        writer.writerows([_text(value) for value in line] for line in lines)
+
+
+def _text(value: object) -> object:
+    return f"{value:.5g}" if isinstance(value, float) else value
+
+
+def markdown(names: Sequence[str], lines: Iterable[Sequence[object]]) -> str:
+    """A Markdown table."""
+    rows = [names, ["---"] * len(names), *lines]
+    return "\n".join("| " + " | ".join(map(str, row)) + " |" for row in rows) + "\n"

@@ -1,26 +1,130 @@
 """The metrics compared: what is run, and what it says.
 
 infomap study metrics --out DIR
+
+One exploration of a planar world whose views are chosen by one metric.
+
+The figures of the comparison of metrics.
 """
 
 from __future__ import annotations
 
+import dataclasses
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
 
 from infomap_ros.geometry.config import parameter
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.studies.common.bands import Band, band
-from infomap_ros.studies.common.runs import in_all_worlds
-from infomap_ros.studies.common.tables import markdown
-from infomap_ros.studies.metrics.metric_run import MetricRun, MetricTask
+from infomap_ros.mapping import VoxelMap
+from infomap_ros.studies.common.figure_style import Band, band, band_note, draw_band, save, style_of
+from infomap_ros.studies.common.runs import in_all_worlds, markdown
 from infomap_ros.studies.metrics.published_metrics import EVERY_METRIC
-from infomap_ros.studies.planar.explore import ExplorationConfig
-from infomap_ros.studies.planar.measures import area_under_coverage
-from infomap_ros.studies.planar.study_config import OneSensorConfig
+from infomap_ros.studies.planar.explore import ExplorationConfig, explore
+from infomap_ros.studies.planar.settings import planar_choice
+from infomap_ros.studies.planar.study_config import (
+    OneSensorConfig,
+    area_under_coverage,
+    fraction_at,
+)
 from infomap_ros.studies.planar.tasks import WorldName
+from infomap_ros.studies.planar.world import PlanarWorld, SensorConfig, level_pose, take_scan
+from infomap_ros.views.information.gains import entropy_of
+
+STRATEGY = "largest_information"
+"""By which all metrics are compared: it ranks by the rating of eq. (11) alone."""
+
+
+@dataclass(frozen=True, eq=False)
+class MetricRun:
+    """What became of an exploration; entry k is that after scan k, shape (K,) each.
+
+    Attributes:
+        fraction: share of the mappable cells that are mapped, in [0, 1].
+        distance: moved until then [m].
+        seconds: that the choice of the view took, time of the processor [s].
+        bits: by which the entropy of the mappable cells has fallen [bits].
+        wrong: share of the mapped cells that are on the wrong side of p = 1/2, in [0, 1].
+        views: place [m] and azimuth [rad] of each scan, shape (K, 3).
+        ended: why it ended.
+    """
+
+    fraction: FloatArray
+    distance: FloatArray
+    seconds: FloatArray
+    bits: FloatArray
+    wrong: FloatArray
+    views: FloatArray
+    ended: str
+
+
+@dataclass(frozen=True)
+class MetricTask:
+    """One exploration: implements `infomap_ros.studies.common.runs.Task`.
+
+    Attributes:
+        world: to be explored.
+        metric: name of one of `EVERY_METRIC`.
+        config: sensor, number of scans, seed.
+        candidates: number of candidate views.
+    """
+
+    world: WorldName
+    metric: str
+    config: ExplorationConfig
+    candidates: int
+
+    @property
+    def file_name(self) -> str:
+        """Where the result is kept."""
+        return f"{self.world}__{self.metric}.npz"
+
+    def fingerprint(self) -> str:
+        """All that the result depends on, but for the code."""
+        return json.dumps(dataclasses.asdict(self), sort_keys=True)
+
+    def run(self) -> MetricRun:
+        """Explore, then measure what the same scans have told."""
+        world, sensor = self.world.make(), self.config.sensor
+        choice = planar_choice(sensor.max_range, world.cell, self.candidates, STRATEGY)
+        metric = EVERY_METRIC.get(self.metric, self.metric)
+        found = explore(world, STRATEGY, self.config, choice, metric=metric)
+        bits, wrong = what_scans_tell(world, sensor, found.views)
+        return MetricRun(
+            found.fraction, found.distance, found.seconds, bits, wrong, found.views, found.ended
+        )
+
+
+def what_scans_tell(
+    world: PlanarWorld, sensor: SensorConfig, views: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Bits removed and share of wrong cells after each scan, shape (K,) each; see `MetricRun`.
+
+    Args:
+        world: that is measured.
+        sensor: that measures.
+        views: place [m] and azimuth [rad] of each scan, shape (K, 3).
+    """
+    voxel_map = VoxelMap(sensor.map_config(world.cell))
+    cells = np.argwhere(world.mappable)
+    places = np.column_stack([cells + 0.5, np.full(len(cells), 0.5)]) * world.cell
+    is_solid = world.occupied[world.mappable]
+    rows = []
+    for x, y, azimuth in views:
+        take_scan(world.truth, sensor, level_pose(np.array([x, y]), azimuth, world.cell), voxel_map)
+        p, known = voxel_map.probability(places), voxel_map.is_known(places)
+        left = np.where(known, entropy_of(p), 1.0)
+        wrong = (p[known] > 0.5) != is_solid[known]
+        rows.append((len(left) - float(left.sum()), float(wrong.mean()) if len(wrong) else 0.0))
+    bits, shares = np.array(rows).T
+    return bits, shares
+
 
 OWN = "expected_entropy_reduction"
 
@@ -185,3 +289,73 @@ def summary(rows: list[Row], seconds: float) -> dict[str, float | str]:
         for name in ("area_scans", "area_way", "fraction", "distance", "bits", "wrong", "seconds"):
             figures[f"{metric}.{name}"] = round(float(values_of(rows, metric, name).mean()), 5)
     return figures
+
+
+_POINTS = 201
+_SHOWN = (OWN, "scene_entropy", "stretched_scene_entropy", "weighted_scene_entropy")
+_EQUATIONS = ("expected entropy reduction", "eq. (7)", "eqs. (7) and (8)", "eq. (9)")
+
+
+def draw_curves(results: Results, config: MetricsStudyConfig, path: Path) -> None:
+    """Coverage against scans and against the way, means over worlds; the band is that of `OWN`.
+
+    PNG and SVG are written, `path` without suffix.
+    """
+    if not results:
+        return
+    metrics = list(dict.fromkeys(task.metric for task in results))
+    styles = style_of(metrics)
+    figure = Figure(figsize=(10.5, 5.6), layout="constrained")
+    FigureCanvasAgg(figure)
+    left, right = figure.subplots(1, 2, sharey=True)
+    scans = np.arange(1.0, config.scans + 1.0)
+    way = np.linspace(0.0, config.reach, _POINTS)
+    for metric in metrics:
+        own = [run for task, run in results.items() if task.metric == metric]
+        per_scan = np.array([curve(run.fraction, config.scans) for run in own])
+        per_way = np.array([fraction_at(run.distance, run.fraction, way) for run in own])
+        for axes, at, curves in ((left, scans, per_scan), (right, way, per_way)):
+            if metric == OWN:
+                draw_band(axes, at, curves, styles[metric], metric)
+            else:  # eleven bands over each other would hide the curves
+                axes.plot(at, curves.mean(axis=0), label=metric, **styles[metric])
+    _label(left, "scans [-]", config.scans)
+    _label(right, "distance moved [m]", config.reach)
+    left.set_ylabel("fraction mapped [-]")
+    handles, labels = left.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=4, fontsize=8)
+    worlds = len({str(task.world) for task in results})
+    title = f"Views chosen by each metric: {band_note(worlds)} (band: {OWN})"
+    figure.suptitle(title, fontsize=10)
+    save(figure, path)
+
+
+def _label(axes: Any, name: str, last: float) -> None:
+    axes.set_xlabel(name)
+    axes.set_xlim(0.0, last)
+    axes.set_ylim(0.0, 1.0)
+    axes.grid(alpha=0.3)
+
+
+def draw_unknown(shares: FloatArray, values: Mapping[str, FloatArray], path: Path) -> None:
+    """What the printed metrics say of a view that is partly unknown.
+
+    Args:
+        shares: of the view that are unknown, shape (N,).
+        values: by metric, shape (N,) each; as `values_by_share` gives them.
+        path: without suffix; PNG and SVG are written.
+    """
+    styles = style_of(_SHOWN)
+    figure = Figure(figsize=(6.0, 4.2), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots()
+    for metric, name in zip(_SHOWN, _EQUATIONS, strict=True):
+        largest = max(float(values[metric].max()), 1e-12)
+        axes.plot(shares, values[metric] / largest, label=name, **styles[metric])
+    axes.set_xlabel("share of the view that is unknown [-]")
+    axes.set_ylabel("value, as share of the metric's own largest [-]")
+    axes.set_xlim(0.0, 1.0)
+    axes.set_ylim(0.0, 1.05)
+    axes.grid(alpha=0.3)
+    axes.legend(fontsize=8)
+    save(figure, path)

@@ -23,12 +23,11 @@ from scipy.ndimage import distance_transform_cdt
 
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import OCCUPIED, VoxelMap
-from infomap_ros.mapping.scans.grid_walk import begin_walk, next_voxel, way_through
-from infomap_ros.mapping.voxels.keys import BLOCK_SIDE
-from infomap_ros.views.information.expected_information import METRICS, Metric
+from infomap_ros.mapping.voxels.keys import BLOCK_SIDE, begin_walk, next_voxel, way_through
 from infomap_ros.views.information.field import VisibleField, code_at, workers_of
-from infomap_ros.views.information.observation_value import entropy_of
+from infomap_ros.views.information.gains import entropy_of
 from infomap_ros.views.information.ray_kernels import turned
+from infomap_ros.views.information.view_information import METRICS, Metric
 from infomap_ros.views.information.view_query import FINEST, ViewQuery
 
 IntArray = NDArray[np.int64]

@@ -13,14 +13,19 @@ import numpy as np
 
 from infomap_ros.geometry.config import parameter
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.studies.common.bands import Band, band
+from infomap_ros.studies.common.figure_style import Band, band
 from infomap_ros.studies.common.runs import in_all_worlds
 from infomap_ros.studies.planar.explore import ExplorationConfig
-from infomap_ros.studies.planar.measures import Saving, area_under_coverage, distance_to, saving
-from infomap_ros.studies.planar.sensor import SensorConfig
-from infomap_ros.studies.planar.study_config import DrawnWorldsConfig, OneSensorConfig
+from infomap_ros.studies.planar.study_config import (
+    DrawnWorldsConfig,
+    OneSensorConfig,
+    Saving,
+    area_under_coverage,
+    distance_to,
+    saving,
+)
 from infomap_ros.studies.planar.tasks import Record, Task, WorldName
-from infomap_ros.studies.planar.world import BoolArray
+from infomap_ros.studies.planar.world import BoolArray, SensorConfig
 
 PAPER = ("random", "raster", "largest_unknown", "smallest_known", "largest_information")
 """The five strategies of the paper."""

@@ -13,10 +13,16 @@ from matplotlib.figure import Figure
 
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap
-from infomap_ros.studies.common.bands import CONFIDENCE, Band, band
-from infomap_ros.studies.common.figure_style import band_note, draw_band, save, style_of
-from infomap_ros.studies.common.tables import markdown, write_lines
-from infomap_ros.studies.planar.measures import fraction_at
+from infomap_ros.studies.common.figure_style import (
+    CONFIDENCE,
+    Band,
+    band,
+    band_note,
+    draw_band,
+    save,
+    style_of,
+)
+from infomap_ros.studies.common.runs import markdown, write_lines
 from infomap_ros.studies.planar.planar_study import (
     BASELINES,
     OWN,
@@ -30,9 +36,15 @@ from infomap_ros.studies.planar.planar_study import (
     savings_of,
     values_of,
 )
-from infomap_ros.studies.planar.sensor import SensorConfig, level_pose, take_scan
+from infomap_ros.studies.planar.study_config import fraction_at
 from infomap_ros.studies.planar.tasks import Record, label_of
-from infomap_ros.studies.planar.world import BoolArray, PlanarWorld
+from infomap_ros.studies.planar.world import (
+    BoolArray,
+    PlanarWorld,
+    SensorConfig,
+    level_pose,
+    take_scan,
+)
 
 _POINTS = 201
 _LEAST_FOR_BANDS = 3  # worlds; the band over two is as wide as the figure

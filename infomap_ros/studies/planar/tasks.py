@@ -15,11 +15,14 @@ from scipy import ndimage
 
 from infomap_ros.errors import InvalidInputError
 from infomap_ros.studies.common.runs import Kept, run_all
-from infomap_ros.studies.planar.explore import Exploration, ExplorationConfig, explore
-from infomap_ros.studies.planar.generators import make_world
+from infomap_ros.studies.planar.explore import (
+    Exploration,
+    ExplorationConfig,
+    explore,
+    explore_together,
+)
 from infomap_ros.studies.planar.settings import planar_choice
-from infomap_ros.studies.planar.team_explore import explore_together
-from infomap_ros.studies.planar.world import BoolArray, PlanarWorld
+from infomap_ros.studies.planar.world import BoolArray, PlanarWorld, make_world
 
 
 def label_of(strategy: str) -> str:

@@ -28,8 +28,7 @@ from infomap_ros.simulation.multi_robot.radio import Channel, Radio
 from infomap_ros.studies.team.team_network import Rows, TeamNetwork
 from infomap_ros.team.config import TeamConfig
 from infomap_ros.team.digest import SUMMARY_ROW, CellDigest, Request, Summary
-from infomap_ros.team.sent import message_bytes
-from infomap_ros.team.update import MapUpdate
+from infomap_ros.team.update import MapUpdate, message_bytes
 from infomap_ros.team.wire import encode_update
 
 LIAR = 3

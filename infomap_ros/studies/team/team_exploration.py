@@ -23,13 +23,11 @@ from infomap_ros.exploration.mission import Mission
 from infomap_ros.geometry.resources import find_share
 from infomap_ros.simulation.body.robot import read_description
 from infomap_ros.simulation.exploring.exploration_run import map_frame, planned_robot, task_in
-from infomap_ros.simulation.exploring.pose_audit import PoseAudit
-from infomap_ros.simulation.exploring.truth import TrueSurface
+from infomap_ros.simulation.exploring.truth import PoseAudit, TrueSurface
 from infomap_ros.simulation.multi_robot.radio import Channel, Radio
 from infomap_ros.simulation.multi_robot.team_world import TeamWorld
 from infomap_ros.simulation.multi_robot.turns import SwitchedOff
-from infomap_ros.studies.team.team_options import TeamExplorationOptions
-from infomap_ros.studies.team.team_robot import RobotEquipment, TeamRobot
+from infomap_ros.studies.team.team_robot import RobotEquipment, TeamExplorationOptions, TeamRobot
 
 _TICK = 0.1  # [s] of robots that have nothing to do
 _MORE = 1.03  # by this factor the map must have grown for a robot that had ended to go on

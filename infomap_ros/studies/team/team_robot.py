@@ -1,39 +1,79 @@
-"""The software of one robot of a simulated team: what dies and starts again with its computer."""
+"""The software of one robot of a simulated team: what dies and starts again with its computer.
+
+What can be set of the exploration of a team.
+"""
 
 from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from infomap_ros.errors import PoseUnavailableError, TeammatesBusyError
-from infomap_ros.exploration.control import Control, Request
 from infomap_ros.exploration.loop import Ending, EndReason, Exploration
 from infomap_ros.exploration.mission import Mission
-from infomap_ros.exploration.planar import planar_pose
 from infomap_ros.exploration.records.run_log import RunLogFile
-from infomap_ros.exploration.robot import Choice, FailedView, KnownPlace, RobotState
+from infomap_ros.exploration.robot import Choice, FailedView, KnownPlace, RobotState, planar_pose
+from infomap_ros.exploration.rules import Control, Request
 from infomap_ros.exploration.task import TaskConfig
 from infomap_ros.exploration.team.keep_clear import PAUSE, Awareness, KeepsClear
-from infomap_ros.exploration.team.team_bodies import TeamBodies
 from infomap_ros.exploration.team.team_planner import TeamPlanner
+from infomap_ros.exploration.team.teammate_places import TeamBodies
 from infomap_ros.exploration.team.teamwork import Presence, Teamwork
 from infomap_ros.exploration.view_planner import Surrounding, ViewPlanner
+from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.motion.robot.robot_model import RobotModel
 from infomap_ros.replay.mapping.map_files import MAP_FILE
-from infomap_ros.simulation.exploring.exploration_run import localization_error
+from infomap_ros.simulation.exploring.exploration_run import ExplorationOptions, localization_error
 from infomap_ros.simulation.exploring.simulated_robot import Observer, SimulatedRobot
 from infomap_ros.simulation.simulator import Simulator
-from infomap_ros.studies.team.team_options import TeamExplorationOptions
+from infomap_ros.team.config import TeamConfig
 from infomap_ros.team.member import TeamMember
-from infomap_ros.team.sent import message_bytes
-from infomap_ros.team.versions import version_at
+from infomap_ros.team.update import message_bytes, version_at
+
+
+@dataclass(frozen=True)
+class TeamTaskConfig:
+    """A team and what may happen to it.
+
+    Raises:
+        ConfigError: a value is out of its range.
+    """
+
+    robots: int = parameter(2, "Number of robots.", low=1, high=16)
+    coverage: float = parameter(
+        0.9, "The exploration ends when a robot's map has this share of the true surface.", low=0.0
+    )
+    loss: float = parameter(0.2, "Share of the packets that are lost.", low=0.0, high=0.95)
+    rate: float = parameter(10.0, "Of each robot's radio.", unit="Mbit/s", low=0.01, high=1000.0)
+    killed_at: float = parameter(
+        0.0,
+        "Coverage at which the software of the last robot is ended without warning, to be started "
+        "again after `down`; 0 for never.",
+        low=0.0,
+        high=1.0,
+    )
+    down: float = parameter(20.0, "Time until it is started again.", unit="s", low=0.0, high=1e4)
+
+    def __post_init__(self) -> None:
+        check_config(self)
+
+
+@dataclass(frozen=True)
+class TeamExplorationOptions(ExplorationOptions):
+    """Everything that can be set of the exploration of a team."""
+
+    team: TeamTaskConfig = field(default_factory=TeamTaskConfig)
+    sharing: TeamConfig = field(
+        default_factory=lambda: TeamConfig(bandwidth=0.6, message_size=1400, digest_period=0.2)
+    )
+
 
 MISSION_FILE, LOG_FILE = "mission.json", "exploration.jsonl"
 LOCALIZATION_FILE = "localization.infomap"

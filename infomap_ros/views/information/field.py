@@ -26,8 +26,18 @@ from infomap_ros.mapping import LOG_ODDS_QUANTUM, VoxelMap
 from infomap_ros.mapping.prediction import predict_unknown
 from infomap_ros.mapping.scans.workers import Workers
 from infomap_ros.mapping.voxels.block_kernels import find_block
-from infomap_ros.mapping.voxels.blocks import NARROW, NARROW_UNKNOWN, UNIFORM, UNSEEN, WIDE_UNKNOWN
-from infomap_ros.mapping.voxels.keys import BLOCK_BITS, BLOCK_SIDE, BLOCK_VOXELS, local_index, pack
+from infomap_ros.mapping.voxels.keys import (
+    BLOCK_BITS,
+    BLOCK_SIDE,
+    BLOCK_VOXELS,
+    NARROW,
+    NARROW_UNKNOWN,
+    UNIFORM,
+    UNSEEN,
+    WIDE_UNKNOWN,
+    local_index,
+    pack,
+)
 from infomap_ros.mapping.voxels.window import UNKNOWN_QUANTA
 
 EMPTY, UNKNOWN, SOLID, UNCERTAIN = 0, 1, 2, 3

@@ -26,8 +26,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.views.information.field import code_at, with_predictions, workers_of
-from infomap_ros.views.information.gains import gain_table, shell_volumes
-from infomap_ros.views.information.observation_value import entropy_of
+from infomap_ros.views.information.gains import entropy_of, gain_table, shell_volumes
 from infomap_ros.views.information.ray_kernels import region_steps, turned
 from infomap_ros.views.information.view_query import FINEST, ViewQuery
 

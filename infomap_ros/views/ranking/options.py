@@ -10,8 +10,8 @@ from typing import Protocol
 import numpy as np
 
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.views.information.information_config import InformationConfig
-from infomap_ros.views.information.voxel_gains import VoxelGains
+from infomap_ros.views.information.view_information import VoxelGains
+from infomap_ros.views.information.view_query import InformationConfig
 from infomap_ros.views.sampling.coarse_views import (
     CoarseViews,
     InformationWeights,

@@ -12,9 +12,9 @@ from numpy.typing import ArrayLike
 from infomap_ros.geometry.config import check_config, parameter, setting
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.views.decision import ReachResult
-from infomap_ros.views.information.information_config import InformationConfig
-from infomap_ros.views.information.observation_value import voxel_observation
+from infomap_ros.views.information.gains import voxel_observation
 from infomap_ros.views.information.view_information import ExpectedInformation
+from infomap_ros.views.information.view_query import InformationConfig
 from infomap_ros.views.ranking.options import Options
 from infomap_ros.views.ranking.terms import (
     Distance,

@@ -12,7 +12,7 @@ from infomap_ros.errors import ConfigError
 from infomap_ros.geometry import PinholeCamera
 from infomap_ros.geometry.config import check_config, setting
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.views.sampling import sight_kernels
+from infomap_ros.views.sampling import coarse_views
 from infomap_ros.views.sampling.surroundings import BoolArray, Surroundings
 
 _ROWS, _COLUMNS = 12, 24  # directions are told apart by 15 degrees
@@ -129,7 +129,7 @@ def _targets_by_direction(
     """Number of voxels worth looking at in sight, shape (P, rows * columns)."""
     size, window = surroundings.voxel_size, surroundings.window
     sums = np.zeros((len(positions), *config.bins))
-    sight_kernels.gather_directions(
+    coarse_views.gather_directions(
         surroundings.states,
         positions / size - window.first,
         surroundings.targets.places / size - window.first,

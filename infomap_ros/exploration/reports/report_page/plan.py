@@ -9,9 +9,9 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
-from infomap_ros.exploration.records.log_records import Motion
 from infomap_ros.exploration.records.recorded_run import RecordedRun, Step
-from infomap_ros.exploration.reports.report_page.axes import number, round_ticks
+from infomap_ros.exploration.records.run_log import Motion
+from infomap_ros.exploration.reports.report_page.charts import number, round_ticks
 from infomap_ros.exploration.reports.report_page.scene import BASE_ACTIONS
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping.files.pictures import MapImage

@@ -61,9 +61,9 @@ def single_users() -> list[str]:
         (
             "lines that a robot installs",
             sum(LINES[name] for name in NAMES if room_of(name) not in NOT_ON_A_ROBOT),
-            84_150,
+            84_200,
         ),
-        ("modules", len(MODULES), 506),
+        ("modules", len(MODULES), 507),
         ("short modules with one user in their folder", len(single_users()), 2),
     ],
 )

@@ -141,6 +141,8 @@ Bag = Annotated[
         help="rosbag2 folder, .mcap, .db3, ROS 1 .bag, or a folder of images", show_default=False
     ),
 ]
+_BAGS_HELP = "rosbag2 folders, .mcap, .db3, ROS 1 .bag, or folders of images, in one frame"
+Bags = Annotated[list[Path], typer.Argument(help=_BAGS_HELP, show_default=False)]
 Out = Annotated[Path, typer.Option(help="folder for the results", show_default=False)]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="replace the results of another run")]
 Source = Annotated[str, typer.Option(help="auto, stereo or depth")]

@@ -1,6 +1,6 @@
 """Command ``infomap map``."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Optional
@@ -9,7 +9,7 @@ import typer
 
 from infomap_ros.cli.command_options import (
     IMAGE_TOPICS,
-    Bag,
+    Bags,
     Calibration,
     Out,
     Overwrite,
@@ -30,11 +30,12 @@ from infomap_ros.cli.results import (
     run_with_bar,
     say_results,
 )
-from infomap_ros.errors import BagError, CapacityError
+from infomap_ros.errors import BagError, CapacityError, InvalidInputError
 from infomap_ros.replay.mapped_bag import Recording, open_recording
 from infomap_ros.replay.mapping.map_files import FILES, write_map_files
 from infomap_ros.replay.mapping.map_inputs import MapOptions
 from infomap_ros.replay.mapping.map_run import MapRun, Progress
+from infomap_ros.studies.survey import map_survey, parts_of
 from infomap_ros.viewer import LivePage
 from infomap_ros.viewer.scan_display import ScanDisplay
 
@@ -44,7 +45,7 @@ _USUAL = _DEFAULTS.map
 
 @takes_topics(*IMAGE_TOPICS, "pose_topic", "joints")
 def map_bag(
-    bag: Bag,
+    bags: Bags,
     out: Out,
     topics: Mapping[str, str],
     calibration: Calibration = None,
@@ -69,10 +70,19 @@ def map_bag(
     setting: Setting = None,
     overwrite: Overwrite = False,
     live: Live = False,
+    cluster: Annotated[
+        str,
+        typer.Option(
+            help="address of a Dask scheduler that sees the bags by the same paths, or local for "
+            "a worker on each core: bags with poses are cut into parts",
+            metavar="ADDRESS",
+        ),
+    ] = "",
     settings: Annotated[bool, lists_settings(MapOptions)] = False,
 ) -> None:
     """Map a bag or a folder of images: map.html, map.png, map file, .ply and summary.json.
 
+    Several bags in one frame become one map, the same to the bit with any number of workers.
     Ctrl-C ends the run early: what was mapped until then is written.
     """
     del settings  # the callback has answered it
@@ -87,18 +97,32 @@ def map_bag(
     }
     least = ["input.fit_scene=false"] if (voxel_size, max_range) != (None, None) else []
     options = chosen(MapOptions(topics=topics, robot=robot), shortcuts, setting, least)
+    is_survey = bool(cluster) or len(bags) > 1
+    if live and is_survey:
+        raise InvalidInputError("--live", "shows one bag that is mapped by this process alone")
+    files = tuple(calibration or ())
     with (
-        open_recording(bag, calibration or ()) as recording,
+        open_recording(bags[0], files) as recording,
         results_in(out, overwrite),
-        live_page(live, f"Mapping {bag.name}") as page,
+        live_page(live, f"Mapping {bags[0].name}") as page,
     ):
-        _map(recording, out, options, page)
+        run = MapRun(recording, options)
+        work: Callable[[Progress], None]
+        work, what, total = run.run, "frames", run.inputs.frames
+        if is_survey:
+            parts = parts_of(bags, files, run.options)
+            work = partial(
+                map_survey, run, recording, parts, cluster, partial(typer.echo, err=True)
+            )
+            what, total = "parts", sum(map(len, parts))
+        elif page is not None:
+            work = partial(_run_live, run, page)
+        run_with_bar(work, run.stop, "mapping", what, total)
+        _finish(run, recording, out)
 
 
-def _map(recording: Recording, out: Path, options: MapOptions, page: LivePage | None) -> None:
-    run = MapRun(recording, options)
-    work = run.run if page is None else partial(_run_live, run, page)
-    run_with_bar(work, run.stop, "mapping", "frames", run.inputs.frames)
+def _finish(run: MapRun, recording: Recording, out: Path) -> None:
+    """Write what was mapped, and say what came of it."""
     summary = write_map_files(run, out)
     for text in _remarks(run, recording):
         typer.echo(f"infomap: {text}", err=True)

@@ -93,7 +93,7 @@ def merge_maps(
         found = _compared(first, second)
         compared = agreement.compared + found.compared
         agreement = Agreement(compared, agreement.contradicted + found.contradicted)
-    return _sum_of([one.map for one in maps]), agreement
+    return sum_of_maps([one.map for one in maps]), agreement
 
 
 def _check_pair(first: NamedMap, second: NamedMap, has_common_frame: bool) -> None:
@@ -137,7 +137,12 @@ def _digest(voxel_map: VoxelMap) -> bytes:
     return digest.digest()
 
 
-def _sum_of(maps: Sequence[VoxelMap]) -> VoxelMap:
+def sum_of_maps(maps: Sequence[VoxelMap]) -> VoxelMap:
+    """Join maps that are known to be in one frame, and to have no scan in common.
+
+    Raises:
+        CapacityError: the map could exceed ``memory_limit`` of the first.
+    """
     merged = VoxelMap(maps[0].config)
     is_shared = _share_offset(maps)
     for part in sorted(maps, key=_digest):

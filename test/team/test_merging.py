@@ -17,7 +17,7 @@ from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.mapping.voxels.keys import unpack
 from infomap_ros.mapping.voxels.state import VoxelStates, put_states
 from infomap_ros.mapping.voxels.surface import records_of
-from infomap_ros.team.merging import NamedMap, _sum_of, merge_maps
+from infomap_ros.team.merging import NamedMap, merge_maps, sum_of_maps
 
 from ..mapping.scenes import Scene, look_at
 
@@ -144,7 +144,7 @@ def test_evidence_of_every_voxel_is_the_sum(rng, largest) -> None:
         for index, odds in occupancy(part).items():
             total[index] = total.get(index, 0.0) + odds
     # Evidence at random contradicts itself in surfaces, so it is added without a comparison.
-    assert occupancy(_sum_of(parts)) == total
+    assert occupancy(sum_of_maps(parts)) == total
 
 
 def test_errors_of_each_map_as_a_whole_weigh_its_points() -> None:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from infomap_ros.replay.bags.source import Channel
+from infomap_ros.replay.bags.source import EVER, Channel, RawMessages
 
 RawMessage = tuple[int, int, bytes]
 """Receive time [ns], number of the channel, serialized message."""
@@ -91,14 +91,14 @@ class SalvagedSource:
                 self.channels.append(counted)
         self._parts = parts
 
-    def messages(self, topics: Collection[str]) -> Iterator[tuple[Channel, int, bytes]]:
+    def messages(self, topics: Collection[str], between: range = EVER) -> RawMessages:
         """See `BagSource.messages`."""
         streams = [self._part_messages(index, topics) for index in range(len(self._parts))]
-        yield from heapq.merge(*streams, key=lambda message: message[1])
+        for message in heapq.merge(*streams, key=lambda message: message[1]):
+            if message[1] in between:
+                yield message
 
-    def _part_messages(
-        self, index: int, topics: Collection[str]
-    ) -> Iterator[tuple[Channel, int, bytes]]:
+    def _part_messages(self, index: int, topics: Collection[str]) -> RawMessages:
         for stamp, number, data in in_time_order(self._parts[index].blocks):
             channel = self._channels.get((index, number))
             if channel is not None and channel.topic in topics:

@@ -23,8 +23,10 @@ from infomap_ros.replay.bags.salvage_rosbag1 import salvage_rosbag1
 from infomap_ros.replay.bags.salvage_sqlite import salvage_sqlite, stated_size
 from infomap_ros.replay.bags.source import (
     DAMAGE,
+    EVER,
     BagSource,
     Channel,
+    RawMessages,
     RosbagsSource,
     bound_rosbags,
     check_lengths,
@@ -77,16 +79,22 @@ class Recording(AbstractContextManager["Recording"], Protocol):
     Attributes:
         path: where it is.
         topics: its topics by name.
+        start: receive time of the first message [ns].
+        end: receive time of the last message [ns].
         problems: what is damaged, in sentences.
         skipped: what could not be read, by reason.
     """
 
     path: Path
     topics: dict[str, Channel]
+    start: int
+    end: int
     problems: list[str]
     skipped: Counter[str]
 
-    def records(self, topics: Collection[str] | None = None) -> Iterator[BagRecord]:
+    def records(
+        self, topics: Collection[str] | None = None, between: range = EVER
+    ) -> Iterator[BagRecord]:
         """Records in order of time; see `BagReader.records`."""
 
 
@@ -189,11 +197,14 @@ class BagReader:
         store = typestore_of(self._source.channels, omit=["std_msgs/msg/Header"])
         return lambda data, type_name: bytes(store.ros1_to_cdr(data, type_name))
 
-    def records(self, topics: Collection[str] | None = None) -> Iterator[BagRecord]:
+    def records(
+        self, topics: Collection[str] | None = None, between: range = EVER
+    ) -> Iterator[BagRecord]:
         """Records in order of the time at which their messages were received.
 
         Args:
             topics: names; where not given, all topics of a type that is read.
+            between: receive times [ns].
 
         Raises:
             BagError: a topic is not in the bag, or is of a type that is not read.
@@ -204,7 +215,7 @@ class BagReader:
             if topic in self.topics and self.topics[topic].type_name not in DECODABLE_TYPES:
                 name = self.topics[topic].type_name
                 raise BagError(f"topic {topic} has type {name}, which is not read")
-        for channel, stamp, data in self._raw(topics):
+        for channel, stamp, data in self._raw(topics, between):
             try:
                 for record in self._decode(channel, stamp, data):
                     if isinstance(record, CameraInfoRecord) and channel.topic in self.replaced:
@@ -226,7 +237,7 @@ class BagReader:
         is_static = channel.topic.endswith("tf_static")
         return decode(name, message, stamp=stamp, is_static=is_static)
 
-    def _raw(self, topics: Collection[str] | None) -> Iterator[tuple[Channel, int, bytes]]:
+    def _raw(self, topics: Collection[str] | None, between: range = EVER) -> RawMessages:
         """Raw messages; where reading by the index fails, the rest without it."""
         wanted = set(self.topics if topics is None else topics)
         if missing := sorted(wanted - self.topics.keys()):
@@ -236,22 +247,21 @@ class BagReader:
             )
         last, at_last, count = -1, 0, 0
         try:
-            for channel, stamp, data in self._source.messages(wanted):
+            for channel, stamp, data in self._source.messages(wanted, between):
                 at_last = at_last + 1 if stamp == last else 1
                 last, count = stamp, count + 1
                 yield channel, stamp, data
         except DAMAGE as error:
             self.problems.append(f"{self.path.name} is damaged after {last} ns: {error}")
-            yield from self._rest(wanted, last, at_last)
+            rest = self._rest(wanted, last, at_last)
+            yield from (one for one in rest if one[1] in between)
             return
         promised = sum(self.topics[topic].count for topic in wanted)
-        if count < promised:
+        if count < promised and between == EVER:
             found = f"{self.path.name} promises {promised} messages and gives {count}"
             self.problems += [] if found in self.problems else [found]
 
-    def _rest(
-        self, wanted: Collection[str], last: int, at_last: int
-    ) -> Iterator[tuple[Channel, int, bytes]]:
+    def _rest(self, wanted: Collection[str], last: int, at_last: int) -> RawMessages:
         source = open_salvage(self.path)
         self.problems += source.problems
         try:

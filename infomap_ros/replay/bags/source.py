@@ -63,6 +63,9 @@ DAMAGE = (
     zstd.ZstdError,
 )
 
+EVER = range(2**63 - 1)
+"""All receive times [ns]."""
+
 
 @dataclass(frozen=True)
 class Channel:
@@ -90,6 +93,9 @@ class Channel:
             object.__setattr__(self, "type_name", f"{package}/msg/{name}")
 
 
+RawMessages = Iterator[tuple[Channel, int, bytes]]
+
+
 class BagSource(Protocol):
     """Raw messages in order of time.
 
@@ -107,7 +113,7 @@ class BagSource(Protocol):
     end: int
     problems: list[str]
 
-    def messages(self, topics: Collection[str]) -> Iterator[tuple[Channel, int, bytes]]:
+    def messages(self, topics: Collection[str], between: range = EVER) -> RawMessages:
         """Channel, receive time [ns] and serialized message of every message on `topics`."""
 
     def close(self) -> None:
@@ -145,11 +151,12 @@ class RosbagsSource:
         }
         self.channels = list(self._channels.values())
 
-    def messages(self, topics: Collection[str]) -> Iterator[tuple[Channel, int, bytes]]:
+    def messages(self, topics: Collection[str], between: range = EVER) -> RawMessages:
         """See `BagSource.messages`."""
         wanted = [c for c in self._reader.connections if absolute(c.topic) in topics]
         if wanted:
-            for connection, stamp, data in self._reader.messages(connections=wanted):
+            times = between.start, between.stop
+            for connection, stamp, data in self._reader.messages(wanted, *times):
                 yield self._channels[id(connection.owner), connection.id], stamp, data
 
     def close(self) -> None:

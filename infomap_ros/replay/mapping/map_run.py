@@ -6,8 +6,10 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import closing
+from dataclasses import replace
 
 from infomap_ros.errors import BagError, CapacityError
+from infomap_ros.geometry import Record
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.pipeline.map_builder import MapBuilder
@@ -52,6 +54,9 @@ _LIKELY_CAUSES = {
 Progress = Callable[[int, int], None]
 """Told how many of how many frames are done."""
 
+Records = Callable[[Recording, MapInputs], Iterator[tuple[str, Record]]]
+"""Those of a part of a bag with their topics, in order of time."""
+
 
 class MapRun:
     """Maps a bag, frame by frame as its records come.
@@ -59,6 +64,7 @@ class MapRun:
     Attributes:
         name: of the bag.
         inputs: what the bag offers.
+        options: its settings, with the sizes that the scene needs.
         fitted: whether the map's range and voxels were made as large as the scene needs.
         builder: of the map.
         log: how the camera was located, empty where the bag tells its poses.
@@ -75,17 +81,25 @@ class MapRun:
         full: why the map could not take more, empty while it could.
     """
 
-    def __init__(self, bag: Recording, options: MapOptions | None = None) -> None:
+    def __init__(
+        self, bag: Recording, options: MapOptions | None = None, part: Records | None = None
+    ) -> None:
         """Look through the bag.
+
+        Args:
+            bag: to be mapped.
+            options: all settings.
+            part: of the bag, in which there need be no frame; all where not given.
 
         Raises:
             BagError: it lacks what mapping needs.
             RobotModelError: its robot description cannot be used.
         """
-        self._bag, self.name = bag, bag.path.resolve().name
+        self._bag, self.name, self._part = bag, bag.path.resolve().name, part
         given = options or MapOptions()
         settings = fitted_to_scene(bag, given)
         self.fitted = settings is not given
+        self.options = replace(settings, input=replace(settings.input, fit_scene=False))
         self.inputs: MapInputs = find_inputs(bag, settings)
         self.log = LocalizationLog()
         self.frames = self.points = self.points_beyond = 0
@@ -162,7 +176,8 @@ class MapRun:
         Raises:
             CapacityError: a frame does not fit into the map's memory limit.
         """
-        seen = self.inputs.perception.see(records_of(self._bag, self.inputs.topics))
+        records = self._part or (lambda bag, inputs: records_of(bag, inputs.topics))
+        seen = self.inputs.perception.see(records(self._bag, self.inputs))
         with closing(in_background(seen)) as items:
             for item in items:
                 yield from self._pipeline.process(item)
@@ -186,6 +201,11 @@ class MapRun:
     def _finish(self) -> None:
         """Count everything that was dropped on the way."""
         self.dropped.update(self.inputs.perception.dropped)
+        if self._part is None:
+            self.check_frames()
+
+    def check_frames(self) -> None:
+        """Raise what `run` raises where no frame could be mapped."""
         if self.frames == 0 and self.full:
             raise CapacityError(f"not one frame fits: {self.full}")
         if self.frames == 0:

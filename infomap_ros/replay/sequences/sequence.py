@@ -22,7 +22,7 @@ from infomap_ros.geometry import (
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.messages import CAMERA_INFO, IMAGE, POSE_WITH_COVARIANCE
 from infomap_ros.replay.bags.reader import BagRecord
-from infomap_ros.replay.bags.source import Channel
+from infomap_ros.replay.bags.source import EVER, Channel
 from infomap_ros.replay.sequences.frame_files import Stamped
 
 POSE_TOPIC = "/camera_pose"
@@ -126,7 +126,8 @@ class SequenceReader:
         self.path, self.sequence = path, sequence
         self.problems = list(sequence.remarks)
         self.skipped: Counter[str] = Counter()
-        frames = len(sequence.streams[0].files)
+        stamps = [stamp for stamp, _ in sequence.streams[0].files]
+        frames, self.start, self.end = len(stamps), min(stamps), max(stamps)
         types = {POSE_TOPIC: POSE_WITH_COVARIANCE} if sequence.poses else {}
         for stream in sequence.streams:
             types |= {stream.info_topic: CAMERA_INFO, stream.image_topic: IMAGE}
@@ -135,7 +136,9 @@ class SequenceReader:
             for name, kind in types.items()
         }
 
-    def records(self, topics: Collection[str] | None = None) -> Iterator[BagRecord]:
+    def records(
+        self, topics: Collection[str] | None = None, between: range = EVER
+    ) -> Iterator[BagRecord]:
         """Records in order of time.
 
         Raises:
@@ -145,7 +148,7 @@ class SequenceReader:
         wanted = self.topics if topics is None else topics
         whole, failure = 0, None
         for topic, stamp, make in self.sequence.events():
-            if topic not in wanted:
+            if topic not in wanted or stamp not in between:
                 continue
             try:
                 record = make()

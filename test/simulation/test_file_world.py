@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import json
+import struct
+from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -78,6 +82,92 @@ def test_millimeters_and_another_axis_are_found_out(tmp_path: Path) -> None:
     world = make_world(write_stl(tmp_path / "room.stl", turned), 1, start=(2.0, 2.5))
     check_room(world, (2.0, 2.5))
     assert "millimeters, y is up" in world.note
+
+
+def write_obj(path: Path, triangles: np.ndarray) -> None:
+    lines = ["v " + " ".join(f"{value:.6f}" for value in v) for v in triangles.reshape(-1, 3)]
+    lines += [f"f {3 * i + 1} {3 * i + 2} {3 * i + 3}" for i in range(len(triangles))]
+    path.write_text("\n".join(lines) + "\n")
+
+
+def write_ply(path: Path, triangles: np.ndarray) -> None:
+    count = len(triangles)
+    head = ["ply", "format ascii 1.0", f"element vertex {3 * count}"]
+    head += [f"property float {axis}" for axis in "xyz"] + [f"element face {count}"]
+    head += ["property list uchar int vertex_indices", "end_header"]
+    rows = [" ".join(f"{value:.6f}" for value in v) for v in triangles.reshape(-1, 3)]
+    rows += [f"3 {3 * i} {3 * i + 1} {3 * i + 2}" for i in range(count)]
+    path.write_text("\n".join([*head, *rows, ""]))
+
+
+def write_dae(path: Path, triangles: np.ndarray, unit: float = 1.0, up: str = "Z_UP") -> None:
+    count, numbers = len(triangles), " ".join(f"{value:.6f}" for value in triangles.ravel())
+    places = " ".join(map(str, range(3 * count)))
+    path.write_text(f"""<?xml version="1.0" encoding="utf-8"?>
+<COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1">
+<asset><unit name="unit" meter="{unit}"/><up_axis>{up}</up_axis></asset>
+<library_geometries><geometry id="g"><mesh>
+<source id="p"><float_array id="a" count="{9 * count}">{numbers}</float_array>
+<technique_common><accessor source="#a" count="{3 * count}" stride="3">
+<param name="X" type="float"/><param name="Y" type="float"/><param name="Z" type="float"/>
+</accessor></technique_common></source>
+<vertices id="v"><input semantic="POSITION" source="#p"/></vertices>
+<triangles count="{count}"><input semantic="VERTEX" source="#v" offset="0"/><p>{places}</p>
+</triangles></mesh></geometry></library_geometries>
+<library_visual_scenes><visual_scene id="s"><node><instance_geometry url="#g"/></node>
+</visual_scene></library_visual_scenes><scene><instance_visual_scene url="#s"/></scene></COLLADA>
+""")
+
+
+def write_glb(path: Path, triangles: np.ndarray) -> None:
+    vertices = triangles.reshape(-1, 3).astype("<f4")
+    data = vertices.tobytes()
+    ends = {"min": vertices.min(axis=0).tolist(), "max": vertices.max(axis=0).tolist()}
+    accessor = {"bufferView": 0, "componentType": 5126, "count": len(vertices), "type": "VEC3"}
+    content = {
+        "asset": {"version": "2.0"}, "scene": 0, "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0}], "meshes": [{"primitives": [{"attributes": {"POSITION": 0}}]}],
+        "accessors": [accessor | ends], "buffers": [{"byteLength": len(data)}],
+        "bufferViews": [{"buffer": 0, "byteLength": len(data)}],
+    }  # fmt: skip
+    text = json.dumps(content).encode()
+    text += b" " * (-len(text) % 4)
+    chunks = struct.pack("<I4s", len(text), b"JSON") + text
+    chunks += struct.pack("<I4s", len(data), b"BIN\0") + data
+    path.write_bytes(struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks)
+
+
+Y_UP = room()[..., [0, 2, 1]] * (1.0, 1.0, -1.0)
+
+
+@pytest.mark.parametrize(
+    ("name", "write", "triangles", "more"),
+    [
+        ("room.obj", write_obj, room(), {}),
+        ("room.ply", write_ply, 1000.0 * room(), {}),
+        ("room.ply", write_ply, 3.28084 * room(), {"unit": 0.3048}),  # feet
+        ("room.obj", write_obj, Y_UP, {"up": "y"}),
+        ("room.dae", write_dae, room(), {}),
+        ("room.glb", write_glb, Y_UP, {}),  # as its standard has it
+    ],
+)
+def test_a_room_is_the_same_out_of_every_format(
+    tmp_path: Path,
+    name: str,
+    write: Callable[[Path, np.ndarray], None],
+    triangles: np.ndarray,
+    more: dict[str, Any],
+) -> None:
+    write(tmp_path / name, triangles)
+    check_room(make_world(str(tmp_path / name), 1, start=(2.0, 2.5), **more), (2.0, 2.5))
+
+
+def test_the_axis_that_a_collada_file_states_and_the_unit_that_is_given_hold(
+    tmp_path: Path,
+) -> None:
+    write_dae(tmp_path / "inches.dae", Y_UP / 0.0254, 0.0254, "Y_UP")
+    world = make_world(str(tmp_path / "inches.dae"), 1, start=(2.0, 2.5), unit=0.0254)
+    check_room(world, (2.0, 2.5))
 
 
 def test_the_robot_starts_inside_with_room_and_stands(tmp_path: Path, description: str) -> None:

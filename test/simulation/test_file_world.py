@@ -162,12 +162,15 @@ def test_a_room_is_the_same_out_of_every_format(
     check_room(make_world(str(tmp_path / name), 1, start=(2.0, 2.5), **more), (2.0, 2.5))
 
 
-def test_the_axis_that_a_collada_file_states_and_the_unit_that_is_given_hold(
-    tmp_path: Path,
-) -> None:
+def test_the_axis_and_the_unit_that_a_collada_file_states_hold(tmp_path: Path) -> None:
     write_dae(tmp_path / "inches.dae", Y_UP / 0.0254, 0.0254, "Y_UP")
-    world = make_world(str(tmp_path / "inches.dae"), 1, start=(2.0, 2.5), unit=0.0254)
-    check_room(world, (2.0, 2.5))
+    check_room(make_world(str(tmp_path / "inches.dae"), 1, start=(2.0, 2.5)), (2.0, 2.5))
+
+
+def test_a_world_that_is_too_large_is_named_with_its_size(tmp_path: Path) -> None:
+    write_dae(tmp_path / "wide.dae", room(), 1.0)
+    with pytest.raises(InvalidInputError, match="is its unit right"):
+        make_world(str(tmp_path / "wide.dae"), 1, start=(2.0, 2.5), unit=900.0)
 
 
 def test_the_robot_starts_inside_with_room_and_stands(tmp_path: Path, description: str) -> None:

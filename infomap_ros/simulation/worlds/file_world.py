@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import re
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -27,6 +29,7 @@ OCTREES = (".bt", ".ot")
 MESHES = (".stl", ".obj", ".dae", ".ply", ".glb", ".gltf")
 WORLD_FILES = (*MESHES, *PLANS, *OCTREES)
 
+_LARGEST = 250.0  # [m]; a world of 330 m did not fit in memory
 _MILLIMETERS = 1000.0  # extent from which on a mesh is taken to be in millimeters
 _LEVEL = 0.95  # cosine of the slope up to which a triangle counts as floor
 _FLOOR_SHARE = 0.5  # of the largest level, that the lowest one must have to be the floor
@@ -134,7 +137,8 @@ def _mesh(path: Path, config: FileWorldConfig) -> _Content:
     if not np.isfinite(triangles).all():
         raise InvalidInputError("world", f"{path} holds a vertex that is not finite")
     extent = np.ptp(triangles, axis=(0, 1))
-    unit = config.unit or (0.001 if extent.max() > _MILLIMETERS else 1.0)
+    guess = 0.001 if extent.max() > _MILLIMETERS else 1.0
+    unit = config.unit or _stated_unit(path) or guess
     up = config.up if config.up != "auto" else "y" if extent[1] < 0.5 * extent[2] else "z"
     if up == "y":
         triangles = np.stack([triangles[..., 0], -triangles[..., 2], triangles[..., 1]], axis=-1)
@@ -145,10 +149,27 @@ def _mesh(path: Path, config: FileWorldConfig) -> _Content:
     if len(triangles) > _MOST_TRIANGLES:
         found = f"{path} has {len(triangles)} triangles, at most {_MOST_TRIANGLES} can be simulated"
         raise InvalidInputError("world", f"{found}: simplify it")
-    triangles = triangles - (0.0, 0.0, _floor(triangles))
     x, y, z = np.ptp(triangles, axis=(0, 1))
+    if max(x, y, z) > _LARGEST:
+        found = (
+            f"{path} is {x:.0f} x {y:.0f} x {z:.0f} m, at most {_LARGEST:.0f} m can be simulated"
+        )
+        raise InvalidInputError("world", f"{found}: is its unit right?")
+    triangles = triangles - (0.0, 0.0, _floor(triangles))
     length = "millimeters" if unit == 0.001 else "meters" if unit == 1.0 else f"units of {unit:g} m"
     return _Content(triangles, None, f"{length}, {up} is up, {x:.1f} x {y:.1f} x {z:.1f} m")
+
+
+def _stated_unit(path: Path) -> float:
+    """Meters in one unit, where a COLLADA file states another than the meter it begins with."""
+    is_collada = path.suffix.lower() == ".dae"
+    head = path.read_bytes()[:100_000] if is_collada else b""
+    stated = re.search(rb'<unit\b[^>]*\bmeter\s*=\s*"\s*([0-9.eE+-]+)\s*"', head)
+    try:
+        unit = float(stated[1]) if stated else 0.0
+    except ValueError:
+        return 0.0
+    return unit if math.isfinite(unit) and unit > 0.0 and unit != 1.0 else 0.0
 
 
 def _areas(triangles: FloatArray) -> FloatArray:

@@ -31,7 +31,7 @@ from trajectory_errors import TrajectoryErrors, pose_nees, trajectory_errors, tr
 from infomap_ros.cli.command_options import with_settings
 from infomap_ros.geometry import PoseRecord
 from infomap_ros.localization.fiducials.range_view import RangeView
-from infomap_ros.pipeline.view_estimator import FramedView
+from infomap_ros.pipeline.perception import FramedView
 from infomap_ros.replay.bags.reader import BagReader
 from infomap_ros.replay.localizing.localize_run import (
     LocalizeOptions,

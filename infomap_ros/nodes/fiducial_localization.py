@@ -58,13 +58,13 @@ from infomap_ros.nodes.team.team_radio import TeamRadioConfig
 from infomap_ros.nodes.team.team_topics import TeamIdentityConfig
 from infomap_ros.pipeline.camera_localizer import CameraLocalizer, CameraLocalizerConfig
 from infomap_ros.pipeline.image_synchronizer import ImageSet
-from infomap_ros.pipeline.perception import ImageSources
-from infomap_ros.pipeline.scan_synchronizer import CLOCK_JUMPED
-from infomap_ros.pipeline.view_estimator import (
+from infomap_ros.pipeline.perception import (
     DepthViewEstimator,
+    ImageSources,
     StereoViewEstimator,
     ViewEstimator,
 )
+from infomap_ros.pipeline.scan_synchronizer import CLOCK_JUMPED
 from infomap_ros.pipeline.view_synchronizer import PosturedView, ViewSynchronizer
 from infomap_ros.stereo import DepthCameraConfig, StereoConfig
 from infomap_ros.team.agents import AgentBoardConfig

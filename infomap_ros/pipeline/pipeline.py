@@ -25,12 +25,11 @@ from infomap_ros.messages.motions import KeyframePoses
 from infomap_ros.pipeline.camera_localizer import CameraLocalizer
 from infomap_ros.pipeline.keyframe_changes import KeyframeChanges
 from infomap_ros.pipeline.map_builder import MapBuilder
-from infomap_ros.pipeline.perception import Seen
+from infomap_ros.pipeline.perception import FramedView, Seen
 from infomap_ros.pipeline.range_estimator import RangeMeasurement
 from infomap_ros.pipeline.robot_body import RobotBody
 from infomap_ros.pipeline.robot_motion import RobotMotion
 from infomap_ros.pipeline.scan_synchronizer import Scan, ScanSynchronizer
-from infomap_ros.pipeline.view_estimator import FramedView
 from infomap_ros.pipeline.view_synchronizer import PosturedView, ViewSynchronizer
 
 END = 2**63 - 1  # [ns]

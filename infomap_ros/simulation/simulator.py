@@ -16,9 +16,8 @@ from infomap_ros.localization.target.tag_board import TagBoardConfig
 from infomap_ros.motion.robot.robot_model import RobotModel
 from infomap_ros.motion.robot.urdf import Follower, read_followers
 from infomap_ros.simulation.body.arm_motion import ArmMotion
-from infomap_ros.simulation.body.base_motion import BaseMotion
+from infomap_ros.simulation.body.base_motion import BaseMotion, DriveTrain
 from infomap_ros.simulation.body.contacts import ContactEvent, ContactMonitor
-from infomap_ros.simulation.body.drive_train import DriveTrain
 from infomap_ros.simulation.body.extended_description import extended_description
 from infomap_ros.simulation.body.robot_body import PREFIX, RobotBody
 from infomap_ros.simulation.body.robot_sensors import RobotSensors

@@ -8,8 +8,7 @@ from typing import ClassVar
 from infomap_ros.errors import ConfigError
 from infomap_ros.geometry.config import check_config, parameter, setting
 from infomap_ros.motion.base.path_following import PathFollowingConfig
-from infomap_ros.simulation.body.base_motion import BaseMotionConfig
-from infomap_ros.simulation.body.drive_train import DriveTrainConfig
+from infomap_ros.simulation.body.base_motion import BaseMotionConfig, DriveTrainConfig
 from infomap_ros.simulation.body.dynamics import DynamicsConfig
 from infomap_ros.simulation.body.robot_setup import RobotSetupConfig
 from infomap_ros.simulation.body.wheel_odometry import WheelOdometryConfig

@@ -18,7 +18,7 @@ from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry import float_array, make_transform, perturb_transform
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.localization.filter.camera_motion import pose_of_triple, random_triples
+from infomap_ros.localization.filter.consensus import pose_of_triple, random_triples
 from infomap_ros.localization.filter.lie import nearest_rotation, skews
 
 BoolArray = NDArray[np.bool_]

@@ -12,7 +12,7 @@ from infomap_ros.motion.base import driven_path
 from infomap_ros.motion.base.base_planner import BasePlanner
 from infomap_ros.motion.base.drive_space import BasePath, BasePlannerConfig, DriveSpace, links_for
 from infomap_ros.motion.base.path_following import PathFollower, PathFollowingConfig
-from infomap_ros.simulation.body.drive_train import planar
+from infomap_ros.simulation.body.base_motion import planar
 from infomap_ros.simulation.cameras.stereo_camera import StereoCameraConfig
 from infomap_ros.simulation.simulator import Simulator, SimulatorConfig
 from infomap_ros.simulation.worlds.builder import SceneBuilder, World

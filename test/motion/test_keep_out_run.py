@@ -15,7 +15,7 @@ from infomap_ros.exploration.commanded_robot import CommandedRobot
 from infomap_ros.exploration.robot import Interrupted, Motion
 from infomap_ros.motion.base.path_following import PathFollowingConfig, drive_seconds
 from infomap_ros.motion.route import ArmPath
-from infomap_ros.simulation.body.drive_train import planar
+from infomap_ros.simulation.body.base_motion import planar
 from infomap_ros.simulation.exploring.exploration_run import ExplorationOptions, ExplorationRun
 from infomap_ros.simulation.simulator import Simulator
 

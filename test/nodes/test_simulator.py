@@ -35,7 +35,7 @@ from infomap_ros.nodes.driving.motion_result import MotionResult, Outcome, read_
 from infomap_ros.nodes.robot_driver import RobotDriverNode
 from infomap_ros.nodes.simulated.simulated_driver import simulated_driver
 from infomap_ros.nodes.simulator import SimulatorNode
-from infomap_ros.simulation.body.drive_train import planar
+from infomap_ros.simulation.body.base_motion import planar
 from infomap_ros.simulation.robots.robot_file import RobotFile
 from infomap_ros.simulation.worlds.scenes import build_scene
 

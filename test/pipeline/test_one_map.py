@@ -22,12 +22,11 @@ from infomap_ros.nodes.fiducial_localization import FiducialLocalizationNode
 from infomap_ros.nodes.map_fusion import MapFusionNode
 from infomap_ros.nodes.stereo_range import StereoRangeNode
 from infomap_ros.pipeline.map_builder import MapBuilder
-from infomap_ros.pipeline.perception import ImageSources, Perception
+from infomap_ros.pipeline.perception import ImageSources, Perception, StereoViewEstimator
 from infomap_ros.pipeline.pipeline import Fused, Fusion, Pipeline
 from infomap_ros.pipeline.range_estimator import StereoRangeEstimator
 from infomap_ros.pipeline.robot_body import RobotBody
 from infomap_ros.pipeline.scan_synchronizer import LocatedPoses, ScanSynchronizer
-from infomap_ros.pipeline.view_estimator import StereoViewEstimator
 from infomap_ros.replay.bags.reader import BagReader
 from infomap_ros.replay.bags.writer import BagWriter
 from infomap_ros.replay.localizing.localize_run import (

@@ -11,7 +11,7 @@ import pytest
 
 from infomap_ros.errors import ConfigError, RobotModelError
 from infomap_ros.motion.robot.robot_model import RobotModel
-from infomap_ros.simulation.body.drive_train import DriveTrainConfig, planar
+from infomap_ros.simulation.body.base_motion import DriveTrainConfig, planar
 from infomap_ros.simulation.body.robot import load_robot, read_description
 from infomap_ros.simulation.body.robot_setup import RobotSetupConfig
 from infomap_ros.simulation.cameras.stereo_camera import StereoCameraConfig

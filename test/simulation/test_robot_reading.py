@@ -13,7 +13,7 @@ from infomap_ros.cli.robot_command import robot
 from infomap_ros.errors import RobotModelError
 from infomap_ros.geometry.resources import find_share
 from infomap_ros.motion.base.vehicle import Vehicle
-from infomap_ros.simulation.body.drive_train import DriveTrainConfig
+from infomap_ros.simulation.body.base_motion import DriveTrainConfig
 from infomap_ros.simulation.body.robot import read_description
 from infomap_ros.simulation.body.robot_setup import RobotSetupConfig
 from infomap_ros.simulation.cameras.stereo_camera import StereoCameraConfig

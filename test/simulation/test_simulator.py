@@ -10,7 +10,7 @@ import pytest
 from infomap_ros.errors import InvalidInputError, RobotModelError, SimulationError
 from infomap_ros.geometry import PinholeCamera, invert_transform, make_transform
 from infomap_ros.motion.robot.robot_model import RobotModel
-from infomap_ros.simulation.body.drive_train import planar
+from infomap_ros.simulation.body.base_motion import planar
 from infomap_ros.simulation.body.robot_setup import RobotSetupConfig
 from infomap_ros.simulation.cameras.eyes import DepthEye, DepthEyeConfig
 from infomap_ros.simulation.cameras.stereo_camera import StereoCameraConfig

@@ -17,9 +17,8 @@ from infomap_ros.geometry.camera import rig_from_calibrations
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.pose_buffer import TransformTree
 from infomap_ros.messages import JOINT_STATE, STRING, TF
-from infomap_ros.pipeline.perception import ImageSources, Perception
+from infomap_ros.pipeline.perception import ImageSources, Perception, ViewEstimator
 from infomap_ros.pipeline.range_estimator import DEPTH_ENCODINGS, RangeEstimator
-from infomap_ros.pipeline.view_estimator import ViewEstimator
 from infomap_ros.replay.bags.reader import BagReader, Recording
 from infomap_ros.replay.bags.topics import (
     DepthTopics,

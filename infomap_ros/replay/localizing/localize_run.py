@@ -33,15 +33,15 @@ from infomap_ros.localization.target.config import TargetConfig, make_detector
 from infomap_ros.messages import ODOMETRY
 from infomap_ros.motion.robot.robot_model import DescriptionConfig, RobotModel
 from infomap_ros.pipeline.camera_localizer import CameraLocalizer, CameraLocalizerConfig
-from infomap_ros.pipeline.perception import Perception
-from infomap_ros.pipeline.pipeline import Localization, Located, Pipeline
-from infomap_ros.pipeline.robot_motion import RobotMotion
-from infomap_ros.pipeline.view_estimator import (
+from infomap_ros.pipeline.perception import (
     DepthViewEstimator,
     FramedView,
+    Perception,
     StereoViewEstimator,
     ViewEstimator,
 )
+from infomap_ros.pipeline.pipeline import Localization, Located, Pipeline
+from infomap_ros.pipeline.robot_motion import RobotMotion
 from infomap_ros.pipeline.view_synchronizer import ViewSynchronizer
 from infomap_ros.replay.bags.background import in_background
 from infomap_ros.replay.bags.image_choice import (

@@ -45,7 +45,12 @@ from infomap_ros.motion.robot.robot_model import RobotModel
 from infomap_ros.motion.route import ArmPath
 from infomap_ros.pipeline.camera_localizer import CameraLocalizer, CameraLocalizerConfig
 from infomap_ros.pipeline.map_builder import MapBuilder
-from infomap_ros.pipeline.perception import ImageSources, Perception
+from infomap_ros.pipeline.perception import (
+    FramedView,
+    ImageSources,
+    Perception,
+    StereoViewEstimator,
+)
 from infomap_ros.pipeline.pipeline import (
     Fused,
     Fusion,
@@ -59,7 +64,6 @@ from infomap_ros.pipeline.robot_body import RobotBody
 from infomap_ros.pipeline.robot_motion import RobotMotion
 from infomap_ros.pipeline.scan_synchronizer import LocatedPoses, Scan, ScanSynchronizer
 from infomap_ros.pipeline.tracked_robot import TrackedRobot
-from infomap_ros.pipeline.view_estimator import FramedView, StereoViewEstimator
 from infomap_ros.pipeline.view_synchronizer import ViewSynchronizer
 from infomap_ros.simulation.robot_commands import RobotCommands
 from infomap_ros.simulation.sensor_schedule import (

@@ -20,7 +20,7 @@ from infomap_ros.errors import ConfigError, ResourceError
 from infomap_ros.geometry.config import build_config
 from infomap_ros.geometry.resources import find_share
 from infomap_ros.motion.base.vehicle import VehicleConfig
-from infomap_ros.simulation.body.drive_train import DriveTrainConfig
+from infomap_ros.simulation.body.base_motion import DriveTrainConfig
 from infomap_ros.simulation.body.robot import find_description
 from infomap_ros.simulation.body.robot_setup import RobotSetupConfig
 

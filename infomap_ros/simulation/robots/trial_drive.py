@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from infomap_ros.motion.base.path_following import wrap
-from infomap_ros.simulation.body.drive_train import planar
+from infomap_ros.simulation.body.base_motion import planar
 from infomap_ros.simulation.body.robot_setup import RobotSetupConfig
 from infomap_ros.simulation.cameras.stereo_camera import StereoCameraConfig
 from infomap_ros.simulation.simulator import Simulator, SimulatorConfig

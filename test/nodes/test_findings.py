@@ -136,7 +136,7 @@ def test_the_doctor_reads_compressed_images(graph: Any, rng: np.random.Generator
 def test_the_doctor_tells_raw_from_rectified(graph: Any) -> None:
     examiner = graph.add(lambda **arguments: Doctor(False, **arguments))
     raw = graph.publisher(Image, "left/image_raw")
-    graph.spin_until(lambda: doctor.count_publishers(raw.topic_name), "the publisher")
+    graph.spin_until(lambda: examiner.count_publishers(raw.topic_name), "the publisher")
 
     texts = [f.text for f in examiner.examine() if f.subject.endswith("left/image_rect")]
 

@@ -32,7 +32,7 @@ PAPER = ("random", "raster", "largest_unknown", "smallest_known", "largest_infor
 
 _HERE = "infomap_ros.studies.baselines"
 BASELINES = (
-    f"{_HERE}.nearest_frontier.NearestFrontier",
+    f"{_HERE}.frontiers.NearestFrontier",
     f"{_HERE}.frontier_tour.FrontierTour",
     f"{_HERE}.view_tree.ViewTree",
     f"{_HERE}.autonomous.AutonomousExploration",

@@ -187,7 +187,7 @@ def _origin(pose: PoseRecord) -> int:
     return 0 if pose.uncertainty is None else pose.uncertainty.origin
 
 
-_MOST_FRAMES = 10_000  # a robot has some hundreds
+MOST_FRAMES = 10_000  # a robot has some hundreds
 
 
 @dataclass(frozen=True)
@@ -231,8 +231,7 @@ class TransformTree:
         Raises:
             FrameError: the child has had another parent.
         """
-        known = self._edges.get(child)
-        poses = None if known is None else known.place
+        poses = known.place if (known := self._edges.get(child)) is not None else None
         if not isinstance(poses, PoseBuffer):
             poses = PoseBuffer(self._config)
         jumped = poses.add(pose)
@@ -242,7 +241,7 @@ class TransformTree:
     def _keep(self, child: str, edge: _Edge) -> None:
         self._edges[child] = edge
         self._edges.move_to_end(child)
-        if len(self._edges) > _MOST_FRAMES:
+        if len(self._edges) > MOST_FRAMES:
             self._edges.popitem(last=False)
 
     def root_of(self, frame: str) -> str:

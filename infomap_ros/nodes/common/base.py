@@ -105,9 +105,7 @@ class MonitoredNode(LifecycleNode):
         self.ends: Callable[[], object] = lambda: None
         self.is_active = False
         self._kept: deque[Callable[[], None]] = deque(maxlen=_MOST_KEPT)
-        about = ParameterDescriptor(
-            description="Else when a lifecycle manager says.", read_only=True
-        )
+        about = ParameterDescriptor(description="Else when a manager says.", read_only=True)
         if self.declare_parameter("start_active", True, about).value:
             self.trigger_configure()
             self.trigger_activate()

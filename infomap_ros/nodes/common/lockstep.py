@@ -30,8 +30,7 @@ from infomap_ros.nodes.common import qos
 REPORTS = "lockstep_reports"
 TIME = "lockstep_time"
 
-_USED, _SENT, _FOUND, _WAITED = "used ", "sent ", "found by ", "waited until"
-_LATCHED = "latched "
+_USED, _SENT, _FOUND, _LATCHED, _WAITED = "used ", "sent ", "found by ", "latched ", "waited until"
 _QUIET = 0.3  # [s] without a report, and
 _SETTLING = 1.0  # [s] with all, and publishers that have found their listeners
 _UNFOUND = 30.0  # [s] after which a listener is not found any more: it asks for another quality
@@ -81,6 +80,13 @@ class LockstepReporter:
             self._counts[_USED + topic] += 0
             self._counts[_LATCHED + topic] = int(latched)
 
+    def ceases(self, topic: str) -> None:
+        """The node listens to a topic no longer: nobody waits for that."""
+        with self._lock:
+            del self._counts[_USED + topic], self._counts[_LATCHED + topic]
+            self._reported = None  # counters are equal where one lacks a zero
+        self.report()
+
     def used(self, topic: str) -> None:
         """A message was used, as far as its callback does so."""
         with self._lock:
@@ -103,9 +109,8 @@ class LockstepReporter:
     def counts(self) -> Counter[str]:
         """What there is to report now."""
         with self._lock:
-            for publisher in self._publishers:
-                found = publisher.get_subscription_count()
-                self._counts[_FOUND + publisher.topic_name] = found
+            for one in self._publishers:
+                self._counts[_FOUND + one.topic_name] = one.get_subscription_count()
             return self._counts.copy()
 
     def report(self, *, again: bool = False) -> None:
@@ -118,8 +123,7 @@ class LockstepReporter:
             return
         with self._lock:
             counts, waited = self.counts(), self.waited_until()
-            is_old = counts == self._reported and waited == self._waited
-            if is_old and not again:
+            if not again and (counts, waited) == (self._reported, self._waited):
                 return
             self._reported, self._waited = counts, waited
             values = dict(counts) if waited is None else {**counts, _WAITED: waited}
@@ -228,7 +232,7 @@ class LockstepConductor:
 
     def _is_settled(self) -> bool:
         missing = self._missing()
-        self._base = {key: min(count, missing[key]) for key, count in self._base.items()}
+        self._base = {k: min(n, missing[k]) for k, n in self._base.items() if k in missing}
         return all(missing[key] == count for key, count in self._base.items())
 
     def _is_settled_or_lost(self) -> bool:

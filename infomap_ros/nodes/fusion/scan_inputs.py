@@ -74,16 +74,13 @@ class ScanPoses:
         self._was_told, self.cloud_frame, self._by_tf = False, "", ""
         self._compared, self._unknown = "", 0
         self._frames = FrameListener(node, self._on_edge)
-        # Time in lockstep would wait for what comes on /tf after this has ceased to listen.
-        self._compares = not self._camera_frame and node.lockstep is None
-        if self._compares:
+        if node.lockstep is None:  # where camera_pose comes in time: no cloud is placed by tf
             self._frames.hear_moving()
 
     def look_from(self, frame: str) -> None:
         """The clouds are of this frame."""
         self.cloud_frame = frame
-        known = self._compared if self._compares else self._camera_frame or frame
-        if self._is_told and frame == known:
+        if self._is_told and frame in (self._camera_frame, self._compared):
             self._frames.ignore_moving()
         else:
             self._frames.hear_moving()
@@ -98,7 +95,7 @@ class ScanPoses:
         if not self._is_told:
             return self._from_tf(stamp)
         pose = self._located.at(stamp)
-        if self._compares:
+        if not self._camera_frame:
             self._compare(pose)
         return pose if self._camera_frame in ("", self.cloud_frame) else self._of_cloud(pose)
 

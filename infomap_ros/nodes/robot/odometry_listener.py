@@ -16,13 +16,12 @@ from rclpy.subscription import Subscription
 
 from infomap_ros.errors import FrameError, MalformedMessageError, PoseUnavailableError
 from infomap_ros.geometry import OdometryRecord, TransformRecord
-from infomap_ros.geometry.pose_buffer import TransformTree
+from infomap_ros.geometry.pose_buffer import MOST_FRAMES, TransformTree
 from infomap_ros.messages import TF, decode_odometry, decode_transforms
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.common.message_types import message_class
 
-_MOST_FRAMES = 10_000  # that are known; a robot has some hundreds
 _MOST_AT_ONCE = 1000  # of one message
 
 
@@ -50,7 +49,10 @@ class FrameListener:
     def ignore_moving(self) -> None:
         """Listen to /tf no longer."""
         if self._moving is not None:
+            topic = self._moving.topic_name
             self._node.destroy_subscription(self._moving)
+            if self._node.lockstep is not None:
+                self._node.lockstep.ceases(topic)
             self._moving = None
 
     def _listen(self, topic: str, profile: QoSProfile, *, is_static: bool) -> Subscription | None:
@@ -76,7 +78,7 @@ class FrameListener:
         """Note that a fixed transform was told, or is used."""
         self.static[edge.child_frame_id] = edge
         self.static.move_to_end(edge.child_frame_id)
-        if len(self.static) > _MOST_FRAMES:
+        if len(self.static) > MOST_FRAMES:
             self.static.popitem(last=False)
 
 

@@ -10,7 +10,7 @@ READY := $(STAMPS)/package $(STAMPS)/messages
 # Processes that test at the same time.
 WORKERS ?= 2
 
-EXTRAS := ros tf2 viewer cluster test bench dev docs
+EXTRAS := ros tf2 viewer cluster merge test bench dev docs
 
 OPENGL := libegl1 libegl-mesa0 libgl1-mesa-dri libopengl0
 CAN_LOAD = $(PYTHON) -c 'import ctypes, sys; [ctypes.CDLL(name) for name in sys.argv[1:]]'

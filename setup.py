@@ -107,6 +107,8 @@ setup(
         "bench": ["evo>=1.30", "pytracik>=0.0.3; platform_machine == 'x86_64'"],
         # The page that shows a run while it goes on.
         "viewer": ["viser>=1.1,<2"],
+        # Maps without a common frame, for `infomap merge --align`.
+        "merge": ["kiss-matcher>=1.0.2", "small-gicp>=1.0.1"],
         # Workers on other machines, for `infomap map --cluster`.
         "cluster": ["distributed>=2024.8"],
         "dev": ["mypy>=1.11", "ruff>=0.6", "types-PyYAML>=6.0"],

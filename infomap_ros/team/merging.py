@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry.pose_uncertainty import point_covariances
-from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.geometry.transforms import FloatArray, carry_covariance
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.mapping.voxels.block_kernels import (
     add_quanta,
@@ -56,6 +56,8 @@ from infomap_ros.mapping.voxels.surface_kernels import (
     inflation,
 )
 from infomap_ros.team.agreement import Agreement, compare_maps
+from infomap_ros.team.registration import Registration, register_maps
+from infomap_ros.team.replica import moved_map
 
 _PER_BLOCK = SIDES * BLOCK_VOXELS  # records
 
@@ -94,6 +96,37 @@ def merge_maps(
         compared = agreement.compared + found.compared
         agreement = Agreement(compared, agreement.contradicted + found.contradicted)
     return sum_of_maps([one.map for one in maps]), agreement
+
+
+def aligned_maps(maps: Sequence[NamedMap]) -> list[tuple[NamedMap, Registration]]:
+    """Maps that have no frame in common, each moved into that of the first.
+
+    A map is found in the sum of those found before it, and shares the error of its place as a
+    whole.
+
+    Args:
+        maps: at least one, in any order in which each has something in common with those before.
+
+    Returns:
+        All but the first.
+
+    Raises:
+        InvalidInputError: one is not found, or in several places; names it.
+        MissingExtraError: what registers them is not installed.
+    """
+    found, whole = [], maps[0].map
+    for name, voxel_map in maps[1:]:
+        try:
+            place = register_maps(whole, voxel_map)
+        except InvalidInputError as error:
+            raise InvalidInputError(name, f"and those before it {error.problem}") from error
+        moved = moved_map(voxel_map, place.T_first_second)
+        shared = moved.offset + carry_covariance(place.covariance, -place.T_first_second[:3, 3])
+        put_offset(moved._storage, shared)
+        moved.origin, moved.sessions = whole.origin, tuple(sorted(_sessions_of(voxel_map)))
+        found.append((NamedMap(name, moved), place))
+        whole = sum_of_maps([whole, moved])
+    return found
 
 
 def _check_pair(first: NamedMap, second: NamedMap, has_common_frame: bool) -> None:

@@ -93,3 +93,38 @@ def test_a_base_goes_along_a_path(graph: Any, tmp_path: Path) -> None:
         assert said(graph, process, "the result") == "done"
     assert abs(base.pose[0] - 0.5) < 0.1
     assert abs(base.pose[1]) < 0.05
+
+
+def test_a_pair_of_cameras_is_located(graph: Any, tmp_path: Path) -> None:
+    stage = BagStage(graph, IMAGES + INFOS)
+    node = start(graph, FiducialLocalizationNode)
+    stage.connect()
+    topic = graph.tester.resolve_topic_name("camera_pose")
+    with running(graph, "fiducial_localization", tmp_path) as process:
+        listeners = graph.tester.count_subscribers
+        graph.spin_until(lambda: listeners(topic) > 1, "the program", 90.0)
+        located = [stage.located(stamp, node) for stamp in stage.play(3)]
+        line = said(graph, process, "a pose")
+    words = re.match(r"(\S+) (\S+) (\S+) m, sigma (\S+) m", line)
+    assert words is not None
+    assert None not in located
+    place = np.array(words.groups()[:3], dtype=float)
+    places = [pose.transform[:3, 3] for pose in located]
+    assert min(np.abs(place - each).max() for each in places) <= 5.1e-4
+    assert 0.0 < float(words[4]) < 0.1
+
+
+def test_a_view_is_planned_on_a_map_that_is_told(graph: Any, tmp_path: Path) -> None:
+    rover = PaperRover(graph)
+    node = start(graph, NextBestViewNode, **QUICK)
+    graph.connect(rover.updates, *rover.infos.values())
+    graph.spin_until(node._tracker.is_complete, "the robot")
+    for pan in (-0.8, 0.0, 0.8):
+        rover.joints |= {"arm_pan_joint": pan, "arm_wrist_joint": 0.4}
+        rover.look()
+    graph.spin_until(lambda: node._map.voxel_map().known_voxels > 0, "the map")
+    with running(graph, "next_best_view", tmp_path) as process:
+        line = said(graph, process, "a view")
+    words = re.match(r"look from (\S+) (\S+) (\S+) m", line)
+    assert words is not None
+    assert np.abs(np.array(words.groups(), dtype=float)).max() < 10.0

@@ -223,7 +223,7 @@ def bomb(levels: int) -> str:
     "before",
     [
         bomb(11),
-        "a: " + "[" * 5000 + "]" * 5000 + "\n",
+        "a: " + "{b: " * 5000 + "}" * 5000 + "\n",
         "a: !!python/object/apply:os.mkdir [{run}]\n",
     ],
 )

@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 
 from infomap_ros.geometry import Box, PinholeCamera, PlacedSolid, StereoRig, make_transform
+from infomap_ros.geometry.atomic_file import save_figure
 from infomap_ros.geometry.resources import find_share
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.motion.reaching import WholeBodyReach
@@ -184,7 +185,7 @@ def draw(rows: list[dict[str, Any]], path: Path) -> None:
     axes[0].set_ylim(bottom=0.0)
     axes[1].legend()
     figure.tight_layout()
-    figure.savefig(path, dpi=130)
+    save_figure(figure, path, 130)
 
 
 def main() -> None:

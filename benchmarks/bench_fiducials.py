@@ -30,6 +30,7 @@ import numpy as np
 from drawn_drive import BASELINE, FOCAL, Disturbance, Moment, draw, unchanged
 from localize_sequences import ROOT, SEQUENCES, bag_of, views_of
 
+from infomap_ros.geometry.atomic_file import replacing
 from infomap_ros.localization.fiducials.range_view import RangeView
 from infomap_ros.localization.fiducials.selection import (
     FiducialSelectionConfig,
@@ -240,7 +241,8 @@ def figure(file: Path) -> None:
     for name, pixel in zip(seen.ids.tolist(), seen.pixels, strict=True):
         ends = [tuple(np.rint(p).astype(int).tolist()) for p in (first[name], pixel)]
         cv2.line(canvas, *ends, (80, 255, 80), 1, cv2.LINE_AA)
-    cv2.imwrite(str(file), canvas)
+    with replacing(file) as written:
+        written.write(cv2.imencode(file.suffix, canvas)[1].tobytes())
 
 
 def main() -> None:

@@ -20,6 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from infomap_ros.geometry import make_transform, perturb_transform
+from infomap_ros.geometry.atomic_file import save_figure
 from infomap_ros.geometry.resources import find_share
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.mapping.correction.reintegration import Reintegration, moved_scans
@@ -110,11 +111,9 @@ def seconds(action: Callable[[], object], times: int) -> float:
 
 def draw(path: Path, maps: dict[str, VoxelMap]) -> None:
     """Surface voxels of each map from above, colored by height."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(4.6 * len(maps), 4.4), layout="constrained")
-    FigureCanvasAgg(figure)
     for axes, (title, voxel_map) in zip(
         figure.subplots(1, len(maps), sharex=True, sharey=True), maps.items(), strict=True
     ):
@@ -126,7 +125,7 @@ def draw(path: Path, maps: dict[str, VoxelMap]) -> None:
         axes.set(title=title, xlabel="x [m]", aspect="equal", xlim=(0.0, 6.5), ylim=(-3.2, 3.2))
     figure.supylabel("y [m]", fontsize=10)
     path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=110)
+    save_figure(figure, path, 110)
 
 
 def measure(voxel_size: float, figure: Path | None) -> dict[str, float | int]:

@@ -34,7 +34,7 @@ from typing import Any
 from rows import markdown_table, percent, software
 
 from infomap_ros.exploration.records.recorded_run import RecordedRun, RunLogError, read_run
-from infomap_ros.geometry.atomic_file import write_json
+from infomap_ros.geometry.atomic_file import appending, write_json, write_text
 from infomap_ros.simulation.cameras.stereo_camera import DRAWN_FAST
 
 Row = dict[str, Any]
@@ -151,7 +151,8 @@ class Children:
         Returns:
             Why it failed; empty where it did not.
         """
-        with output.open("wb") as file:
+        output.unlink(missing_ok=True)
+        with appending(output) as file:
             with self._lock:
                 if self._ended:
                     return "not begun"
@@ -362,7 +363,7 @@ def make_runs(
             short = shortcomings(row, tasks[task].most_views)
             print(json.dumps(row | {"falls_short": short}), flush=True)
             done = [rows[run.name] for run in runs if run.name in rows]
-            (out / TABLE_FILE).write_text(table(done), encoding="utf-8")
+            write_text(out / TABLE_FILE, table(done))
     finally:
         pool.shutdown(wait=False, cancel_futures=True)
         children.end()
@@ -372,7 +373,7 @@ def make_runs(
 def report(rows: Sequence[Row], out: Path) -> int:
     """Print the table and what fell short; returns the exit status."""
     text, lines = table(rows), closing_lines(rows)
-    (out / TABLE_FILE).write_text(text, encoding="utf-8")
+    write_text(out / TABLE_FILE, text)
     print(text)
     versions = sorted({row["software"] for row in rows})
     if versions and versions != [software()]:

@@ -29,6 +29,7 @@ from trajectory_errors import truth_at
 import infomap_ros
 from infomap_ros.errors import InfomapError
 from infomap_ros.geometry import PoseRecord, transform_points
+from infomap_ros.geometry.atomic_file import write_text
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.replay.bags.reader import BagReader
 from infomap_ros.replay.localizing.localize_run import LocalizeOptions
@@ -309,7 +310,7 @@ def main() -> None:
         rows = room(arguments.data, arguments.work, absent)
         print(json.dumps(figures | {"room": rows, "absent": absent}))
         if arguments.write and rows:
-            PAGE.write_text(with_map(PAGE.read_text("utf-8"), rows), encoding="utf-8")
+            write_text(PAGE, with_map(PAGE.read_text("utf-8"), rows))
         return
     figures["localization"] = localization(arguments.data, arguments.work, absent)
     given = arguments.data / STARRY_NIGHT
@@ -320,7 +321,7 @@ def main() -> None:
     figures |= {"absent": absent, "minutes": (time.monotonic() - begin) / 60.0}
     print(json.dumps(figures))
     if arguments.write:
-        PAGE.write_text(page(figures), encoding="utf-8")
+        write_text(PAGE, page(figures))
     else:
         print(page(figures))
 

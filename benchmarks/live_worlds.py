@@ -25,7 +25,7 @@ from rich.console import Console
 from rows import markdown_table, percent, software
 
 from infomap_ros.errors import InfomapError
-from infomap_ros.geometry.atomic_file import write_json
+from infomap_ros.geometry.atomic_file import write_json, write_text
 from infomap_ros.nodes.live.demo import DemoConfig, run_demo
 
 TEN_WORLDS = [f"mars:{seed}" for seed in range(1, 5)]
@@ -127,7 +127,7 @@ def main() -> int:
         except (InfomapError, OSError) as error:
             failures += 1
             print(f"{config.world} {config.seed}: {error}", file=sys.stderr)
-        (out / "table.md").write_text(table(rows), encoding="utf-8")
+        write_text(out / "table.md", table(rows))
     print(table(rows), end="")
     return 1 if failures else 0
 

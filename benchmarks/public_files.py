@@ -23,7 +23,7 @@ from typing import Any
 
 from rows import markdown_table, software
 
-from infomap_ros.geometry.atomic_file import write_json
+from infomap_ros.geometry.atomic_file import write_json, write_text
 
 BAGS = {".mcap", ".bag", ".db3"}
 CALIBRATIONS = {".yaml", ".yml", ".txt", ".xml"}
@@ -117,7 +117,7 @@ def main() -> int:
         rows.append(json.loads(file.read_text(encoding="utf-8")))
         print(f"{rows[-1]['file']}: {rows[-1]['status']}", file=sys.stderr)
     table = markdown_table(("file", "result", "how", "version"), map(_cells, rows))
-    (options.out / "table.md").write_text(table, encoding="utf-8")
+    write_text(options.out / "table.md", table)
     print(table, end="")
     return 1 if any(row["crashed"] for row in rows) else 0
 

@@ -25,7 +25,7 @@ import numpy as np
 from infomap_ros.cli.command_options import with_settings
 from infomap_ros.exploration.records.recorded_run import read_run
 from infomap_ros.exploration.records.run_log import Decision
-from infomap_ros.geometry.atomic_file import write_json
+from infomap_ros.geometry.atomic_file import save_figure, write_json
 from infomap_ros.mapping.files.export import surface_sigmas
 from infomap_ros.simulation.exploring.exploration_run import (
     LOG_FILE,
@@ -118,7 +118,7 @@ def draw(rows: list[dict[str, Any]], path: Path) -> None:
     axes[0, 0].set_ylabel("y, map [m]")
     axes[1, 0].set_ylabel("views")
     figure.tight_layout()
-    figure.savefig(path, dpi=110)
+    save_figure(figure, path, 110)
 
 
 def main() -> None:

@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 
 from infomap_ros.cli.command_options import with_settings
+from infomap_ros.geometry.atomic_file import write_text
 from infomap_ros.studies.team.team_exploration import TeamExploration
 from infomap_ros.studies.team.team_robot import TeamExplorationOptions
 
@@ -45,7 +46,7 @@ def explore(name: str, seed: int, robots: int, out: Path, settings: list[str]) -
     exploration = TeamExploration(with_settings(TeamExplorationOptions(), given), folder)
     result = {**exploration.run(), "settings": given}
     result["looks"] = [[look.views, look.distance, look.coverage] for look in exploration.looks]
-    kept.write_text(json.dumps(result) + "\n")
+    write_text(kept, json.dumps(result) + "\n")
     return result
 
 

@@ -11,7 +11,7 @@ import typer
 
 from infomap_ros.cli.command_options import chosen, lists_settings
 from infomap_ros.cli.results import results_in
-from infomap_ros.geometry.atomic_file import write_text
+from infomap_ros.geometry.atomic_file import save_figure, write_text
 from infomap_ros.stereo import StereoConfig, calibration
 from infomap_ros.stereo.calibration import NoiseFit
 from infomap_ros.stereo.evaluation import GAUSSIAN_SHARES, PairErrors, load_pairs
@@ -27,16 +27,14 @@ def draw_noise_fit(fit: NoiseFit, path: Path | str) -> None:
         path: file to write, format by its ending.
     """
     # Matplotlib takes longer to import than all the rest; only this function needs it.
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(13.0, 4.2), layout="constrained")
-    FigureCanvasAgg(figure)
     axes = figure.subplots(1, 3)
     _draw_prediction(axes[0], fit)
     _draw_shares(axes[1], fit)
     _draw_printed(axes[2], fit)
-    figure.savefig(Path(path), dpi=110)
+    save_figure(figure, path, 110)
 
 
 def _styles() -> Any:

@@ -6,7 +6,6 @@ from typing import Annotated, Optional
 
 import numpy as np
 import typer
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
@@ -14,6 +13,7 @@ from infomap_ros.cli.command_options import Overwrite
 from infomap_ros.cli.results import check_free
 from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry import PinholeCamera, transform_from_quaternion
+from infomap_ros.geometry.atomic_file import save_figure
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.mapping.files.pictures import draw_map_views
 from infomap_ros.mapping.voxel_map import DepthImage
@@ -32,7 +32,6 @@ def draw_depth_image(image: DepthImage, path: Path) -> None:
         OSError: the file cannot be written.
     """
     figure = Figure(figsize=(14.0, 5.0), layout="constrained")
-    FigureCanvasAgg(figure)
     left, right = figure.subplots(1, 2)
     depth = left.imshow(image.depth, cmap="viridis_r", interpolation="nearest")
     figure.colorbar(depth, ax=left, label="depth [m]", shrink=0.8)
@@ -43,7 +42,7 @@ def draw_depth_image(image: DepthImage, path: Path) -> None:
     figure.colorbar(drawn, ax=right, label="sigma of the depth [m]", shrink=0.8)
     for axes in (left, right):
         axes.set(xlabel="u [px]", ylabel="v [px]")
-    figure.savefig(path, dpi=110)
+    save_figure(figure, path, 110)
 
 
 _CAMERA = PinholeCamera(640, 480, 525.0, 525.0, 319.5, 239.5)

@@ -7,11 +7,11 @@ from typing import Annotated
 
 import numpy as np
 import typer
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from scipy import stats
 
 from infomap_ros.cli.study_options import Out, finish, progress_bar, refusals
+from infomap_ros.geometry.atomic_file import save_figure
 from infomap_ros.studies.map_consistency import (
     CONFIDENCE,
     ConsistencyConfig,
@@ -37,7 +37,6 @@ def draw_histograms(results: Sequence[ConsistencyResult], path: str | Path) -> N
     columns = min(len(results), _COLUMNS)
     rows = -(-len(results) // columns)
     figure = Figure(figsize=(4.0 * columns, 3.6 * rows), layout="constrained")
-    FigureCanvasAgg(figure)
     axes = figure.subplots(rows, columns, sharey=True, squeeze=False).ravel()
     for axis in axes[len(results) :]:
         axis.set_axis_off()
@@ -68,7 +67,7 @@ def draw_histograms(results: Sequence[ConsistencyResult], path: str | Path) -> N
     axes[0].set_ylabel("density [-]")
     axes[0].set_ylim(0.0, 0.65)  # room for the legend
     axes[0].legend(fontsize=8, loc="upper left")
-    figure.savefig(path, dpi=120)
+    save_figure(figure, path, 120)
 
 
 def map_consistency(

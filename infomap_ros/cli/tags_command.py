@@ -1,6 +1,7 @@
 """Command ``infomap tags``."""
 
 import csv
+import io
 import json
 import sys
 from collections import Counter
@@ -14,6 +15,7 @@ from infomap_ros.cli.command_options import Calibration
 from infomap_ros.cli.results import results_in
 from infomap_ros.errors import ConfigError, InvalidInputError
 from infomap_ros.geometry import PinholeCamera
+from infomap_ros.geometry.atomic_file import replacing, write_text
 from infomap_ros.localization.target.tag_board import FAMILIES
 from infomap_ros.localization.target.tag_detection import (
     Tags,
@@ -58,7 +60,8 @@ def tags(
             name, found = find_tags(photo, family)
             folder = path.resolve().parent.name if stems[path.stem] > 1 else ""
             drawn = "_".join([*([folder] if folder else []), path.stem, "tags.png"])
-            cv2.imwrite(str(out / drawn), draw_tags(photo, found))
+            with replacing(out / drawn) as file:
+                file.write(cv2.imencode(".png", draw_tags(photo, found))[1].tobytes())
             positions = [""] * len(found.ids)
             if side is not None and calibration:
                 size = (photo.shape[1], photo.shape[0])
@@ -99,7 +102,6 @@ def _positions(found: Tags, side: float, files: list[Path], size: tuple[int, int
 
 def _write(rows: list[list[object]], path: Path) -> None:
     corners = [f"{axis}{corner}_px" for corner in range(4) for axis in "uv"]
-    with path.open("w", encoding="utf-8", newline="") as file:
-        table = csv.writer(file)
-        table.writerow(["photo", "family", "id", *corners, "x y z [m]"])
-        table.writerows(rows)
+    table = io.StringIO(newline="")
+    csv.writer(table).writerows([["photo", "family", "id", *corners, "x y z [m]"], *rows])
+    write_text(path, table.getvalue())

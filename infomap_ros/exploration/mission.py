@@ -13,7 +13,7 @@ import numpy as np
 from infomap_ros.errors import InvalidInputError, MissionFileError
 from infomap_ros.exploration.robot import KnownPlace, RobotState, planar_pose
 from infomap_ros.geometry import check_transform
-from infomap_ros.geometry.atomic_file import write_json
+from infomap_ros.geometry.atomic_file import MALFORMED, write_json
 from infomap_ros.geometry.transforms import (
     FloatArray,
     quaternion_from_transform,
@@ -99,16 +99,7 @@ class Mission:
                 [[float(number) for number in look] for look in content.get("looks", [])],
             )
             look_poses(mission.looks)
-        except (
-            OSError,
-            OverflowError,
-            RecursionError,
-            ValueError,
-            KeyError,
-            TypeError,
-            AttributeError,
-            InvalidInputError,
-        ) as error:
+        except (OSError, *MALFORMED, InvalidInputError) as error:
             raise MissionFileError(f"mission file {path}: {error!r}") from error
         numbers = (mission.views, mission.distance, mission.seconds)
         if not all(map(math.isfinite, numbers)) or min(numbers) < 0.0:

@@ -12,10 +12,13 @@ import secrets
 import stat
 from collections.abc import Iterator
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 _PARTIAL = ".saving"
 _ATTEMPTS = 100  # to open a file before another process takes it for remains
+
+MALFORMED = LookupError, TypeError, ValueError, AttributeError, OverflowError, RecursionError
+"""What JSON of a wrong structure, or wrong numbers in it, can raise where it is read."""
 
 
 @contextlib.contextmanager
@@ -24,13 +27,14 @@ def replacing(path: str | Path) -> Iterator[BinaryIO]:
 
     It is written beside its final place, under a name that nobody can foresee, and renamed when it
     is on the disk: a reader, another writer, and whoever comes after a crash see the old file or
-    the new one. Where `path` is a symbolic link, what it names is replaced.
+    the new one. A symbolic link at `path` is replaced; what it names stays as it is.
 
     Raises:
-        OSError: it cannot be written, or `path` is neither a regular file nor free for one (a
-            device, a folder, links in a loop); what was there before stays.
+        OSError: it cannot be written, or at `path`, or where it leads to, is neither a regular file
+            nor nothing (a device, a folder, links in a loop); what was there before stays.
     """
-    target = _regular(Path(path))
+    target = Path(path)
+    _check_replaceable(target)
     _remove_remains(target)
     partial, file = _begin(target)
     with file:
@@ -50,36 +54,40 @@ def replacing(path: str | Path) -> Iterator[BinaryIO]:
 
 
 def write_text(path: str | Path, text: str) -> None:
-    """Write text to a file, as `replacing` does.
-
-    Raises:
-        OSError: the file cannot be written; what was there before stays.
-    """
+    """Write text to a file, as `replacing` does; raises as that does."""
     with replacing(path) as file:
         file.write(text.encode("utf-8"))
 
 
 def write_json(path: Path, content: object) -> None:
-    """Write JSON to a file, as `replacing` does; raises as `write_text` does."""
+    """Write JSON to a file, as `replacing` does; raises as that does."""
     write_text(path, json.dumps(content))
 
 
-def _regular(path: Path) -> Path:
-    """Where the links of a path lead to, which is a regular file or free."""
+def save_figure(figure: Any, path: str | Path, dpi: float | None = None) -> None:
+    """Write a figure of Matplotlib, as `replacing` does; the ending says its format."""
+    with replacing(path) as file:
+        figure.savefig(file, dpi=dpi or "figure", format=Path(path).suffix[1:])
+
+
+def appending(path: str | Path) -> BinaryIO:
+    """Open a file to add to its end; an OSError where it cannot be, or is a symbolic link."""
+    flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_NOFOLLOW
+    return os.fdopen(os.open(path, flags, 0o666), "ab")
+
+
+def _check_replaceable(path: Path) -> None:
     try:
-        target = path.resolve()
-        mode = target.stat().st_mode
+        mode = path.stat().st_mode
     except FileNotFoundError:
-        return target
-    except RuntimeError as error:
-        raise OSError(errno.ELOOP, os.strerror(errno.ELOOP), str(path)) from error
+        return
     except ValueError as error:  # a name with a NUL
         raise OSError(errno.EINVAL, str(error), str(path)) from error
     if stat.S_ISDIR(mode):
         raise OSError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
-    if not stat.S_ISREG(mode):
+    is_in_dev = path.parent.resolve() == Path("/dev")  # /dev/stdout leads to whatever it is sent to
+    if is_in_dev or not stat.S_ISREG(mode):
         raise OSError(errno.EINVAL, "is a device, pipe or socket, not a file", str(path))
-    return target
 
 
 def _begin(target: Path) -> tuple[Path, BinaryIO]:

@@ -25,12 +25,12 @@ from itertools import pairwise, product
 from pathlib import Path
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry import invert_transform
+from infomap_ros.geometry.atomic_file import save_figure
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.localization.fiducials.observations import FiducialObservations
@@ -315,7 +315,6 @@ def draw_drift(panels: Sequence[DriftPanel], paths: Sequence[str | Path]) -> Non
     distances = sorted({panel.distance for panel in panels}, reverse=True)
     redundancies = sorted({panel.redundancy for panel in panels})
     figure = Figure(figsize=(3.6 * len(redundancies), 3.1 * len(distances)), layout="constrained")
-    FigureCanvasAgg(figure)
     axes = figure.subplots(
         len(distances), len(redundancies), sharex=True, sharey="row", squeeze=False
     )
@@ -345,4 +344,4 @@ def draw_drift(panels: Sequence[DriftPanel], paths: Sequence[str | Path]) -> Non
         title_fontsize=7,
     )  # fmt: skip
     for path in paths:
-        figure.savefig(path, dpi=120)
+        save_figure(figure, path, 120)

@@ -17,7 +17,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy import special, stats
@@ -30,6 +29,7 @@ from infomap_ros.geometry import (
     perturb_transform,
     transform_points,
 )
+from infomap_ros.geometry.atomic_file import save_figure
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.localization.fiducials.observations import FiducialObservations
@@ -384,7 +384,6 @@ def draw_nees(results: Sequence[ScenarioResult], path: str | Path) -> None:
     """
     shown = [result for result in results if result.scenario.speed == 0.0]
     figure = Figure(figsize=(4.2 * len(shown), 3.4), layout="constrained")
-    FigureCanvasAgg(figure)
     axes = figure.subplots(1, len(shown), sharey=True, squeeze=False)[0]
     x = np.linspace(0.0, 25.0, 300)
     for axis, result in zip(axes, shown, strict=True):
@@ -402,4 +401,4 @@ def draw_nees(results: Sequence[ScenarioResult], path: str | Path) -> None:
         axis.grid(True, linewidth=0.3)
     axes[0].set_ylabel("share of runs below [-]")
     axes[0].legend(fontsize=8, loc="lower right")
-    figure.savefig(path, dpi=120)
+    save_figure(figure, path, 120)

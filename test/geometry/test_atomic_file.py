@@ -35,12 +35,16 @@ def test_a_link_under_a_name_that_can_be_foreseen_is_not_followed(tmp_path: Path
     assert not (tmp_path / "a.json").is_symlink()
 
 
-def test_what_a_link_names_is_replaced_and_the_link_stays(tmp_path: Path) -> None:
+def test_a_link_is_replaced_and_what_it_names_stays(tmp_path: Path) -> None:
     (tmp_path / "real.json").write_text("[]")
     (tmp_path / "a.json").symlink_to("real.json")
+    (tmp_path / "b.json").symlink_to("not_yet.json")
     write_json(tmp_path / "a.json", [1])
-    assert (tmp_path / "a.json").is_symlink()
-    assert (tmp_path / "real.json").read_text() == "[1]"
+    write_json(tmp_path / "b.json", [2])
+    assert not (tmp_path / "a.json").is_symlink()
+    assert (tmp_path / "a.json").read_text() == "[1]"
+    assert (tmp_path / "real.json").read_text() == "[]"
+    assert sorted(names_in(tmp_path)) == ["a.json", "b.json", "real.json"]
 
 
 def test_links_in_a_loop_and_folders_are_an_os_error(tmp_path: Path) -> None:
@@ -57,6 +61,24 @@ def test_a_pipe_is_not_replaced(tmp_path: Path) -> None:
     with pytest.raises(OSError, match="device"):
         write_json(tmp_path / "pipe", [1])
     assert stat.S_ISFIFO((tmp_path / "pipe").stat().st_mode)
+
+
+def test_a_link_to_a_device_is_not_replaced(tmp_path: Path) -> None:
+    (tmp_path / "null").symlink_to("/dev/null")
+    with pytest.raises(OSError, match="device"):
+        write_json(tmp_path / "null", [1])
+    assert (tmp_path / "null").is_symlink()
+
+
+def test_standard_output_is_not_replaced_where_it_is_a_file(tmp_path: Path) -> None:
+    code = "from infomap_ros.geometry.atomic_file import write_text; write_text('/dev/stdout', 'x')"
+    before = Path("/dev/stdout").readlink()
+    with (tmp_path / "out").open("wb") as out:
+        done = subprocess.run(
+            [sys.executable, "-c", code], stdout=out, stderr=subprocess.PIPE, check=False
+        )
+    assert b"is a device" in done.stderr
+    assert Path("/dev/stdout").readlink() == before
 
 
 def test_a_device_is_not_replaced() -> None:

@@ -183,12 +183,13 @@ def test_missing_file_and_folder_are_named(tmp_path):
         write_map_file(tmp_path / "none" / "a.map", {}, {})
 
 
-def test_saving_through_a_link_replaces_what_it_names(saved, tmp_path):
-    link = tmp_path / "latest.map"
+def test_a_link_is_replaced_and_the_map_that_it_names_stays(saved, tmp_path):
+    link, before = tmp_path / "latest.map", saved.read_bytes()
     link.symlink_to(saved)
     write_map_file(link, {"threads": 5}, {})
-    assert link.is_symlink()
-    assert read_map_file(saved)[0] == {"threads": 5}
+    assert not link.is_symlink()
+    assert read_map_file(link)[0] == {"threads": 5}
+    assert saved.read_bytes() == before
 
 
 KILLED = """

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import resource
+import time
 from pathlib import Path
 
 import numpy as np
@@ -168,3 +170,72 @@ def test_what_metadata_states_otherwise_of_one_topic_hides_no_message(
         found = [record.topic for record in bag.records(topics)]
         assert bag.problems == []
     assert sorted(found) == sorted(topics)
+
+
+def copied(bag: Path, folder: Path, file: str) -> Path:
+    """The metadata of a bag in a folder of its own, where it names another file."""
+    folder.mkdir()
+    name = next(bag.glob("*.mcap")).name
+    metadata = (bag / "metadata.yaml").read_text("utf-8")
+    assert name in metadata
+    (folder / "metadata.yaml").write_text(metadata.replace(name, file), "utf-8")
+    return folder
+
+
+@pytest.mark.parametrize("place", ["../bag/{name}", "{bag}/{name}", "/etc/passwd", "/dev/zero"])
+def test_metadata_names_no_file_outside_its_folder(tmp_path: Path, place: str) -> None:
+    bag = tmp_path / "bag"
+    with BagWriter(bag) as writer:
+        write_camera(writer, "/left/image_rect", "mono8")
+    file = place.format(bag=bag, name=next(bag.glob("*.mcap")).name)
+    with pytest.raises(BagError, match="other"):
+        BagReader(copied(bag, tmp_path / "other", file))
+
+
+@pytest.mark.parametrize("suffix", [".mcap", ".db3", ".bag"])
+def test_a_device_is_no_bag(tmp_path: Path, suffix: str) -> None:
+    (tmp_path / "zero").with_suffix(suffix).symlink_to("/dev/zero")
+    with pytest.raises(BagError, match="zero"):
+        BagReader((tmp_path / "zero").with_suffix(suffix))
+
+
+@pytest.mark.parametrize("target", ["/dev/zero", "a pipe"])
+def test_the_file_of_a_bag_is_a_regular_one(tmp_path: Path, target: str) -> None:
+    with BagWriter(tmp_path / "bag") as writer:
+        write_camera(writer, "/left/image_rect", "mono8")
+    file = next((tmp_path / "bag").glob("*.mcap"))
+    file.unlink()
+    if target == "a pipe":
+        os.mkfifo(file)
+    else:
+        file.symlink_to(target)
+    with pytest.raises(BagError):
+        BagReader(tmp_path / "bag")
+
+
+def bomb(levels: int) -> str:
+    """Lists of ten links each to the list before: 10^levels words."""
+    lines = [f"a{k}: &a{k} [{', '.join([f'*a{k - 1}'] * 10)}]\n" for k in range(1, levels)]
+    return "".join(["a0: &a0 [x, x, x, x, x, x, x, x, x, x]\n", *lines])
+
+
+@pytest.mark.parametrize(
+    "before",
+    [
+        bomb(11),
+        "a: " + "{b: " * 5000 + "}" * 5000 + "\n",
+        "a: !!python/object/apply:os.mkdir [{run}]\n",
+    ],
+)
+def test_odd_yaml_in_metadata_neither_runs_nor_loses_messages(tmp_path: Path, before: str) -> None:
+    bag, run = tmp_path / "bag", tmp_path / "run"
+    with BagWriter(bag) as writer:
+        write_camera(writer, "/left/image_rect", "mono8")
+    metadata = bag / "metadata.yaml"
+    metadata.write_text(before.replace("{run}", str(run)) + metadata.read_text("utf-8"), "utf-8")
+    begin, used = time.monotonic(), resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    with BagReader(bag) as reader:
+        assert len(list(reader.records(["/left/image_rect"]))) == 1
+    assert time.monotonic() - begin < 10.0
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - used < 100_000  # kB
+    assert not run.exists()

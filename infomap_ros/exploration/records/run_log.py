@@ -32,6 +32,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from infomap_ros.geometry import PinholeCamera
+from infomap_ros.geometry.atomic_file import appending, write_text
 from infomap_ros.geometry.transforms import FloatArray
 
 
@@ -68,9 +69,9 @@ class RunLogFile:
         self._path = Path(path)
         self._before = last_time(self._path) if append else 0.0
         if not append:
-            self._path.write_text("", encoding="utf-8")
-        elif self._path.exists() and not self._path.read_bytes().endswith(b"\n"):
-            self._add("\n")  # the process was killed within a line
+            write_text(self._path, "")
+        elif self._path.exists():  # does it end within a line, in which the process was killed?
+            self._add("" if self._path.read_bytes().endswith(b"\n") else "\n")
         self._clock, self._start = clock, clock()
         self._on_entry, self._robot_clock = on_entry, robot_clock
 
@@ -88,8 +89,8 @@ class RunLogFile:
             self._on_entry(entry)
 
     def _add(self, text: str) -> None:
-        with self._path.open("a", encoding="utf-8") as file:
-            file.write(text)
+        with appending(self._path) as file:
+            file.write(text.encode("utf-8"))
 
 
 def last_time(path: Path) -> float:

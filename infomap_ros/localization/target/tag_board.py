@@ -23,6 +23,7 @@ from scipy.spatial.transform import Rotation
 
 from infomap_ros.errors import ConfigError, InvalidInputError
 from infomap_ros.geometry import make_transform, transform_points
+from infomap_ros.geometry.atomic_file import replacing, save_figure
 from infomap_ros.geometry.config import check_config, parameter, setting
 from infomap_ros.geometry.transforms import FloatArray
 
@@ -220,12 +221,13 @@ def save_board(config: TagBoardConfig, path: Path, dots_per_inch: int = 300) -> 
         raise InvalidInputError("path", f"{path.name} ends neither in .png nor in .pdf")
     image = draw_board(config, dots_per_inch / _INCH)
     if path.suffix.lower() == ".png":
-        imsave(path, image, cmap="gray", vmin=0, vmax=255, dpi=dots_per_inch, format="png")
+        with replacing(path) as file:
+            imsave(file, image, cmap="gray", vmin=0, vmax=255, dpi=dots_per_inch, format="png")
     else:
         height, width = image.shape
         page = Figure(figsize=(width / dots_per_inch, height / dots_per_inch), dpi=dots_per_inch)
         page.figimage(image, cmap="gray", vmin=0, vmax=255)
-        page.savefig(path, format="pdf", dpi=dots_per_inch)
+        save_figure(page, path, dots_per_inch)
 
 
 def _dark_cells(family: str, tag: int) -> FloatArray:

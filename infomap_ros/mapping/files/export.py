@@ -184,7 +184,7 @@ def write_ply(voxel_map: VoxelMap, path: str | Path) -> int:
         *properties,
         "end_header",
     ]
-    with Path(path).open("wb") as file:
+    with replacing(path) as file:
         file.write("\n".join([*header, ""]).encode("ascii"))
         file.write(vertices.tobytes())
     return len(vertices)

@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from infomap_ros.errors import MapFileError
-from infomap_ros.geometry.atomic_file import replacing
+from infomap_ros.geometry.atomic_file import MALFORMED, replacing
 
 MAP_FILE_VERSION = 4
 """Version of the layout; others are refused."""
@@ -41,12 +41,6 @@ _MOST_INFLATION = 230
 """At the level with which the file is written, zlib packs zeros to 1/229.2 of their size and
 nothing to less; at other levels to 1/1030."""
 
-_MALFORMED = (  # what JSON of a wrong structure, or wrong numbers in it, can raise below
-    *(LookupError, TypeError, ValueError, AttributeError, OverflowError, RecursionError),
-    MemoryError,
-    zlib.error,
-)
-
 
 def write_map_file(
     path: str | Path, config: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]
@@ -54,7 +48,7 @@ def write_map_file(
     """Write a map file, atomically.
 
     Args:
-        path: where to; a file that is there is replaced, what a symbolic link names too.
+        path: where to; a file, or a symbolic link, that is there is replaced.
         config: bool, int, finite float, str, or tuples of these, by name.
         arrays: bool, integer or real arrays by name.
 
@@ -96,7 +90,7 @@ def read_map_file(path: str | Path) -> tuple[dict[str, Any], dict[str, NDArray[A
         return _parse(memoryview(content))
     except _DefectError as defect:
         raise MapFileError(f"map file {source} {defect}") from defect
-    except _MALFORMED as error:
+    except (*MALFORMED, MemoryError, zlib.error) as error:
         raise MapFileError(
             f"map file {source} is whole, but what it holds is not valid: {error}"
         ) from error

@@ -9,12 +9,12 @@ from typing import Any
 import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from infomap_ros.errors import InvalidInputError
+from infomap_ros.geometry.atomic_file import save_figure
 from infomap_ros.geometry.symmetric import smallest_axes
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping.voxel_map import VoxelMap
@@ -162,7 +162,7 @@ def draw_map_views(
         axes[0].legend(loc="upper right", fontsize="small")
     parts_of_title = [title] if title else []
     figure.suptitle(", ".join([*parts_of_title, f"voxels of {100.0 * size:g} cm"]))
-    figure.savefig(path, dpi=110)
+    save_figure(figure, path, 110)
 
 
 def _sheet(tall: float, flat: float) -> tuple[Figure, tuple[Axes, Axes, Axes]]:
@@ -184,7 +184,6 @@ def _sheet(tall: float, flat: float) -> tuple[Figure, tuple[Axes, Axes, Axes]]:
         widths, heights = (left, width - left), None
         height = max(tall * left, 2.0 * flat * (width - left) + _TITLES) + _TITLES
     figure = Figure(figsize=(_WIDTH, float(np.clip(height, 5.0, 12.0))), layout="constrained")
-    FigureCanvasAgg(figure)
     parts: dict[str, Axes] = figure.subplot_mosaic(
         names, width_ratios=widths, height_ratios=heights
     )

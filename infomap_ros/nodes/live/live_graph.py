@@ -28,6 +28,7 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from infomap_ros.errors import ProcessError
+from infomap_ros.geometry.atomic_file import appending
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.environment import process_environment
 from infomap_ros.nodes.team.team_topics import OWN_FRAMES
@@ -81,7 +82,9 @@ class NodeProcesses:
         for source, target in (OWN_FRAMES | dict(remaps or {})).items():
             command += ["-r", f"{source}:={target}"]
         command += ["-r", f"__ns:={self._namespace}"]
-        with self._log(name).open("ab" if name in self._processes else "wb") as log:
+        if name not in self._processes:
+            self._log(name).unlink(missing_ok=True)
+        with appending(self._log(name)) as log:
             process = subprocess.Popen(
                 command,
                 env=self._environment,

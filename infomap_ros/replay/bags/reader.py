@@ -137,8 +137,6 @@ class BagReader:
     def _open(self) -> BagSource:
         if not self.path.exists():
             raise BagError(f"there is no bag at {self.path}")
-        if not (self.path.is_file() or self.path.is_dir()):
-            raise BagError(f"{self.path} is a pipe or device, no bag")
         if self.path.is_file() and self.path.suffix not in SALVAGERS:
             raise BagError(
                 f"{self.path.name} is not a bag: expected a rosbag2 folder or a file ending in "
@@ -146,6 +144,8 @@ class BagReader:
             )
         files = list(self.path.iterdir()) if self.path.is_dir() else [self.path]
         for file in files:
+            if file.exists() and not (file.is_file() or file.is_dir()):
+                raise BagError(f"{file} is a pipe or device, no bag")
             if file.suffix == ".db3":
                 check_tables(file)
         try:

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from infomap_ros.geometry import quaternion_from_transform
-from infomap_ros.geometry.atomic_file import write_text
+from infomap_ros.geometry.atomic_file import save_figure, write_text
 from infomap_ros.replay.localizing.localize_run import LocalizeRun, Trajectory
 
 TRAJECTORY_FILE, CORRECTED_FILE = "trajectory.txt", "corrected_trajectory.txt"
@@ -57,26 +57,25 @@ def write_localize_files(run: LocalizeRun, out: Path) -> dict[str, int | float |
 
 def write_tum(trajectory: Trajectory, path: Path) -> None:
     """Write ``stamp x y z qx qy qz qw`` for each pose [s, m], as the TUM benchmark has it."""
-    with path.open("w", encoding="utf-8") as file:
-        file.write("# stamp [s] x y z [m] qx qy qz qw: T_map_camera\n")
-        for stamp, pose in zip(trajectory.stamps, trajectory.transforms, strict=True):
-            numbers = [*pose[:3, 3], *quaternion_from_transform(pose)]
-            file.write(f"{_seconds(stamp)} " + " ".join(f"{n:.9g}" for n in numbers) + "\n")
+    poses = ([*pose[:3, 3], *quaternion_from_transform(pose)] for pose in trajectory.transforms)
+    _write("stamp [s] x y z [m] qx qy qz qw: T_map_camera", trajectory.stamps, poses, path)
 
 
 def write_covariances(trajectory: Trajectory, path: Path) -> None:
     """Write the stamp and the 36 numbers of the covariance of each pose, row by row."""
-    with path.open("w", encoding="utf-8") as file:
-        file.write("# stamp [s] 6x6 covariance in the map: x y z [m], rotation about them [rad]\n")
-        for stamp, covariance in zip(trajectory.stamps, trajectory.covariances, strict=True):
-            numbers = " ".join(f"{n:.9g}" for n in covariance.ravel())
-            file.write(f"{_seconds(stamp)} {numbers}\n")
+    title = "stamp [s] 6x6 covariance in the map: x y z [m], rotation about them [rad]"
+    _write(title, trajectory.stamps, trajectory.covariances.reshape(-1, 36), path)
 
 
-def _seconds(stamp: np.int64) -> str:
-    """Nanoseconds as seconds, all digits kept."""
-    whole, rest = divmod(int(stamp), 1_000_000_000)
-    return f"{whole}.{rest:09d}"
+def _write(
+    title: str, stamps: Iterable[np.int64], rows: Iterable[Iterable[float]], path: Path
+) -> None:
+    """Write a line for each stamp [ns], which becomes seconds with all digits kept."""
+    lines = [f"# {title}\n"]
+    for stamp, row in zip(stamps, rows, strict=True):
+        whole, rest = divmod(int(stamp), 1_000_000_000)
+        lines.append(f"{whole}.{rest:09d} " + " ".join(f"{n:.9g}" for n in row) + "\n")
+    write_text(path, "".join(lines))
 
 
 def draw_run(run: LocalizeRun, path: Path) -> None:
@@ -86,7 +85,6 @@ def draw_run(run: LocalizeRun, path: Path) -> None:
         OSError: the file cannot be written.
     """
     figure = Figure(figsize=(11.0, 7.0), layout="constrained")
-    FigureCanvasAgg(figure)
     grid = figure.add_gridspec(2, 2, height_ratios=(2.0, 1.0))
     then, now = run.log.trajectory, run.log.corrected_trajectory
     for column, (first, second, title) in enumerate(((0, 1, "top view"), (0, 2, "side view"))):
@@ -94,7 +92,7 @@ def draw_run(run: LocalizeRun, path: Path) -> None:
         _draw_path(axes, then, now, (first, second))
         axes.set_title(title)
     _draw_certainty(figure.add_subplot(grid[1, :]), run, then)
-    figure.savefig(path, dpi=100)
+    save_figure(figure, path, 100)
 
 
 def _draw_path(axes: Axes, then: Trajectory, now: Trajectory, which: tuple[int, int]) -> None:

@@ -11,12 +11,11 @@ from typing import Any
 
 import matplotlib
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from infomap_ros.exploration.reports.report import write_map_report
-from infomap_ros.geometry.atomic_file import write_text
+from infomap_ros.geometry.atomic_file import save_figure, write_text
 from infomap_ros.mapping.files.export import write_ply
 from infomap_ros.mapping.files.pictures import draw_map_views
 from infomap_ros.replay.mapping.map_run import MapRun
@@ -50,13 +49,12 @@ def _draw(values: NDArray[Any], label: str, colors: str, path: Path) -> None:
     measured = values[np.isfinite(values)]
     low, high = np.percentile(measured, [1.0, 99.0]) if len(measured) else (0.0, 1.0)
     figure = Figure(figsize=(_WIDTH, _WIDTH * height / width), layout="constrained")
-    FigureCanvasAgg(figure)
     axes = figure.add_subplot()
     scale = matplotlib.colormaps[colors].with_extremes(bad="0.8")
     image = axes.imshow(values, cmap=scale, vmin=low, vmax=max(high, low + 1e-9))
     axes.set_axis_off()
     figure.colorbar(image, ax=axes, label=label, shrink=0.9)
-    figure.savefig(path, dpi=100)
+    save_figure(figure, path, 100)
 
 
 MAP_FILE, PLY_FILE, SUMMARY_FILE = "map.infomap", "map.ply", "summary.json"

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from infomap_ros.errors import SimulationError
-from infomap_ros.geometry.atomic_file import write_json
+from infomap_ros.geometry.atomic_file import MALFORMED, write_json
 from infomap_ros.geometry.transforms import FloatArray
 
 
@@ -66,15 +66,7 @@ class SavedRobot:
                 _arrays(content["odometry"]),
                 str(content["world"]),
             )
-        except (
-            OSError,
-            OverflowError,
-            RecursionError,
-            ValueError,
-            KeyError,
-            TypeError,
-            AttributeError,
-        ) as error:
+        except (OSError, *MALFORMED) as error:
             raise SimulationError(f"robot file {path}: {error!r}") from error
         numbers = [np.array(saved.seconds), *saved.body.values(), *saved.odometry.values()]
         if not all(np.isfinite(each).all() for each in numbers) or saved.seconds < 0.0:

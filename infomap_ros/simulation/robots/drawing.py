@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pinocchio
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Polygon
@@ -19,6 +18,7 @@ from scipy.spatial import ConvexHull, QhullError
 
 from infomap_ros.errors import SimulationError
 from infomap_ros.geometry import Box, Cylinder, PinholeCamera, PlacedSolid, transform_points
+from infomap_ros.geometry.atomic_file import save_figure
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.motion.robot.body_shapes import BodyShape
 from infomap_ros.motion.robot.robot_model import RobotModel
@@ -60,7 +60,6 @@ def draw_robot(reading: RobotReading, path: Path) -> None:
         OSError: the picture cannot be written.
     """
     figure = Figure(figsize=(12.0, 11.4), dpi=110, facecolor="white")
-    FigureCanvasAgg(figure)
     axes = figure.subplots(2, 2, height_ratios=(1.1, 1.0))
     _draw_projections(axes[0], reading)
     _draw_photos(axes[1], reading.file)
@@ -73,7 +72,7 @@ def draw_robot(reading: RobotReading, path: Path) -> None:
     figure.text(0.02, 0.012, note, fontsize=8.5, color=_INK, va="bottom", family="monospace")
     bottom = 0.02 + 0.0135 * len(guesses)
     figure.tight_layout(rect=(0.0, bottom, 1.0, 0.945), h_pad=1.2, w_pad=1.5)
-    figure.savefig(path)
+    save_figure(figure, path)
 
 
 def _title(reading: RobotReading) -> str:

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from infomap_ros.geometry import PinholeCamera, make_transform
+from infomap_ros.geometry.atomic_file import replacing
 from infomap_ros.geometry.resources import find_share
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.simulation.body.robot import read_description
@@ -63,7 +64,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     description = read_description(find_share("config/rover.urdf"))
     row = np.hstack([picture(name, given.seed, description) for name in WORLDS])
     pixels = cv2.cvtColor(row, cv2.COLOR_RGB2BGR)
-    cv2.imwrite(str(given.out), pixels, [cv2.IMWRITE_JPEG_QUALITY, 80])
+    quality = [cv2.IMWRITE_JPEG_QUALITY, 80]
+    with replacing(given.out) as file:
+        file.write(cv2.imencode(given.out.suffix, pixels, quality)[1].tobytes())
 
 
 if __name__ == "__main__":

@@ -14,6 +14,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy import stats
 
+from infomap_ros.geometry.atomic_file import save_figure
 from infomap_ros.geometry.transforms import FloatArray
 
 CONFIDENCE = 0.95
@@ -130,5 +131,5 @@ def band_note(worlds: int) -> str:
 
 def save(figure: Figure, path: Path) -> None:
     """Write PNG and SVG; `path` without suffix."""
-    figure.savefig(path.with_suffix(".png"), dpi=110)
-    figure.savefig(path.with_suffix(".svg"))
+    save_figure(figure, path.with_suffix(".png"), 110)
+    save_figure(figure, path.with_suffix(".svg"))

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import csv
 import dataclasses
+import io
 import os
 import signal
 import threading
@@ -20,6 +21,7 @@ from typing import Any, Generic, Protocol, TypeVar
 import numpy as np
 
 from infomap_ros.errors import InvalidInputError
+from infomap_ros.geometry.atomic_file import replacing, write_text
 
 Result = TypeVar("Result")
 Result_co = TypeVar("Result_co", covariant=True)
@@ -75,9 +77,8 @@ class Kept(Generic[Result]):
         fields = dataclasses.fields(result)  # type: ignore[arg-type]
         arrays: dict[str, Any] = {field.name: getattr(result, field.name) for field in fields}
         path = self.folder / task.file_name
-        partial = path.with_suffix(".part.npz")
-        np.savez_compressed(partial, fingerprint=task.fingerprint(), **arrays)
-        partial.replace(path)
+        with replacing(path) as file:
+            np.savez_compressed(file, fingerprint=task.fingerprint(), **arrays)
 
 
 def run_all(
@@ -176,10 +177,11 @@ def write_rows(rows: Sequence[object], path: Path) -> None:
 
 def write_lines(names: Sequence[str], lines: Iterable[Sequence[object]], path: Path) -> None:
     """Write a header and lines; floats with five digits."""
-    with path.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerow(names)
-        writer.writerows([_text(value) for value in line] for line in lines)
+    table = io.StringIO(newline="")
+    writer = csv.writer(table)
+    writer.writerow(names)
+    writer.writerows([_text(value) for value in line] for line in lines)
+    write_text(path, table.getvalue())
 
 
 def _text(value: object) -> object:

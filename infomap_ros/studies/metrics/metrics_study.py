@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from infomap_ros.geometry.config import parameter
@@ -306,7 +305,6 @@ def draw_curves(results: Results, config: MetricsStudyConfig, path: Path) -> Non
     metrics = list(dict.fromkeys(task.metric for task in results))
     styles = style_of(metrics)
     figure = Figure(figsize=(10.5, 5.6), layout="constrained")
-    FigureCanvasAgg(figure)
     left, right = figure.subplots(1, 2, sharey=True)
     scans = np.arange(1.0, config.scans + 1.0)
     way = np.linspace(0.0, config.reach, _POINTS)
@@ -347,7 +345,6 @@ def draw_unknown(shares: FloatArray, values: Mapping[str, FloatArray], path: Pat
     """
     styles = style_of(_SHOWN)
     figure = Figure(figsize=(6.0, 4.2), layout="constrained")
-    FigureCanvasAgg(figure)
     axes = figure.subplots()
     for metric, name in zip(_SHOWN, _EQUATIONS, strict=True):
         largest = max(float(values[metric].max()), 1e-12)

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from infomap_ros.geometry.transforms import FloatArray
@@ -112,7 +111,6 @@ def draw_curves(
     columns = min(3, len(panels))
     rows = -(-len(panels) // columns)
     figure = Figure(figsize=(4.6 * columns, 3.6 * rows + 0.9), layout="constrained")
-    FigureCanvasAgg(figure)
     grid = figure.subplots(rows, columns, squeeze=False).ravel()
     for axes, (kind, axis, value) in zip(grid, panels, strict=False):
         worlds = [r for r in records if kind in ("all", r.task.world.kind)]
@@ -160,7 +158,6 @@ def draw_ways(
     """
     columns = 1 + len(records)
     figure = Figure(figsize=(3.1 * columns, 3.9), layout="constrained")
-    FigureCanvasAgg(figure)
     axes = figure.subplots(1, columns, sharex=True, sharey=True, squeeze=False)[0]
     extent = (0.0, world.size[0], 0.0, world.size[1])
     axes[0].imshow(_shades(world, np.ones_like(world.occupied)), extent=extent, **_IMAGE)
@@ -394,7 +391,6 @@ def draw_savings(
         path: without suffix.
     """
     figure = Figure(figsize=(1.9 * len(others) + 2.2, 3.8), layout="constrained")
-    FigureCanvasAgg(figure)
     axes, kinds = figure.subplots(), kinds_in(rows)
     styles, bounds = style_of(["mean", *kinds]), set[str]()
     for place, other in enumerate(others):

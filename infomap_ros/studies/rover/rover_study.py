@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
@@ -268,7 +267,6 @@ def draw_curves(results: Results, config: RoverStudyConfig, path: Path) -> None:
     labels = labels_of(results)
     styles = style_of(labels)
     figure = Figure(figsize=(10.0, 4.7), layout="constrained")
-    FigureCanvasAgg(figure)
     left, right = figure.subplots(1, 2)
     for label in labels:
         own = {task: result for task, result in results.items() if task.label == label}
@@ -313,7 +311,6 @@ def draw_regions(results: Results, path: Path) -> None:
     first = next(iter(results)).seed
     shown = [(task, result) for task, result in results.items() if task.seed == first]
     figure = Figure(figsize=(3.6 * len(shown), 4.8), layout="constrained")
-    FigureCanvasAgg(figure)
     panels = figure.subplots(1, len(shown), sharex=True, sharey=True, squeeze=False)[0]
     for axes, (task, result) in zip(panels, shown, strict=True):
         _draw_region(axes, task, result)

@@ -4,7 +4,7 @@ Candidates come from correspondences of local shape (KISS-Matcher), are drawn to
 minimum by generalized ICP (small_gicp), and judged by what the maps say of each other: surface
 that lies on surface, and surface that lies where the other has seen free space. The best one is
 refused where surfaces in common do not hold it in all six directions, and where another one, as
-in the second of two equal rooms, explains half as much.
+in the second of two equal rooms, explains nearly as much.
 
 Its covariance counts what one scan sees as one error: that of point-to-plane distances by clusters
 (Liang and Zeger 1986, doi:10.1093/biomet/73.1.13), and the sigma of the maps themselves, by which
@@ -41,7 +41,8 @@ _LEAST = 500  # surface voxels
 _LEAST_MATCHED, _ENOUGH_MATCHED = 0.3, 0.5  # of the surface of both: to be possible, not to go on
 _MOST_CONTRADICTED = 0.03  # of the voxels that are matched or contradicted
 _LEAST_HELD = 0.01  # of matched voxels, in the weakest of six directions
-_RIVAL = 0.5  # of the matched voxels of the best one
+_CONTRADICTION = 10.0  # matched voxels for which one counts that is contradicted
+_RIVAL = 0.7  # of what speaks for the best place
 _APART = 5.0, 0.1  # at the middle [voxels] or in turn [rad]: another place
 _CLUSTER = 0.5  # edge of the cubes whose errors count as one [ranges of the sensor]
 _NEIGHBORS = 20  # voxels that give a normal
@@ -84,7 +85,7 @@ def register_maps(first: VoxelMap, second: VoxelMap) -> Registration:
             "maps", "have too little surface in common to find one in the other"
         )
     rival = search.rival(best)
-    if rival is not None and rival.matched > _RIVAL * best.matched:
+    if rival is not None and rival.score > _RIVAL * best.score:
         away, turn = search.between(best.T, rival.T)
         raise InvalidInputError(
             "maps",
@@ -150,6 +151,10 @@ class _Place:
     held: float
 
     @property
+    def score(self) -> float:
+        return self.matched - _CONTRADICTION * self.contradicted
+
+    @property
     def is_possible(self) -> bool:
         judged = self.matched + self.contradicted
         is_held = self.held >= _LEAST_HELD and self.share >= _LEAST_MATCHED
@@ -176,7 +181,7 @@ class _Search:
         best = None
         for guess in self._guesses(self._first.thin, self._second.thin, attempts):
             place = self._place(guess)
-            if place.is_possible and (best is None or place.matched > best.matched):
+            if place.is_possible and (best is None or place.score > best.score):
                 best = place
                 if place.share > _ENOUGH_MATCHED:
                     break
@@ -199,7 +204,7 @@ class _Search:
             for place, (away, turn) in zip(places, apart, strict=True)
             if place.is_possible and (away > _APART[0] * self._size or turn > _APART[1])
         ]
-        return max(possible, key=lambda place: place.matched, default=None)
+        return max(possible, key=lambda place: place.score, default=None)
 
     def _guesses(
         self, first: FloatArray, second: FloatArray, attempts: int

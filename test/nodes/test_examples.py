@@ -13,13 +13,19 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from geometry_msgs.msg import Twist
+from sensor_msgs.msg import PointCloud2
 
+from infomap_ros.nodes.fiducial_localization import FiducialLocalizationNode
+from infomap_ros.nodes.next_best_view import NextBestViewNode
 from infomap_ros.nodes.robot_driver import RobotDriverNode
 
+from .bag_stage import IMAGES, INFOS, BagStage
 from .controllers import VelocityController
-from .rovers import PaperRover
+from .rovers import PaperRover, update_messages
+from .test_next_best_view import QUICK
 
 PAGE = Path(__file__).resolve().parents[2] / "docs/howto_one_node.md"
 SECTIONS = dict(
@@ -115,14 +121,13 @@ def test_a_pair_of_cameras_is_located(graph: Any, tmp_path: Path) -> None:
 
 
 def test_a_view_is_planned_on_a_map_that_is_told(graph: Any, tmp_path: Path) -> None:
-    rover = PaperRover(graph)
+    rover = PaperRover(graph, tells_updates=False)
     node = start(graph, NextBestViewNode, **QUICK)
-    graph.connect(rover.updates, *rover.infos.values())
+    updates = graph.publisher(PointCloud2, "map_updates", 200)
+    graph.connect(updates, *rover.infos.values())
     graph.spin_until(node._tracker.is_complete, "the robot")
-    for pan in (-0.8, 0.0, 0.8):
-        rover.joints |= {"arm_pan_joint": pan, "arm_wrist_joint": 0.4}
-        rover.look()
-    graph.spin_until(lambda: node._map.voxel_map().known_voxels > 0, "the map")
+    for message in update_messages(rover.looks(-0.8, 0.0, 0.8)):
+        updates.publish(message)
     with running(graph, "next_best_view", tmp_path) as process:
         line = said(graph, process, "a view")
     words = re.match(r"look from (\S+) (\S+) (\S+) m", line)

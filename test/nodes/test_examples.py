@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 import pytest
 from geometry_msgs.msg import Twist
-from sensor_msgs.msg import PointCloud2
 
 from infomap_ros.nodes.fiducial_localization import FiducialLocalizationNode
 from infomap_ros.nodes.next_best_view import NextBestViewNode
@@ -123,11 +122,10 @@ def test_a_pair_of_cameras_is_located(graph: Any, tmp_path: Path) -> None:
 def test_a_view_is_planned_on_a_map_that_is_told(graph: Any, tmp_path: Path) -> None:
     rover = PaperRover(graph, tells_updates=False)
     node = start(graph, NextBestViewNode, **QUICK)
-    updates = graph.publisher(PointCloud2, "map_updates", 200)
-    graph.connect(updates, *rover.infos.values())
+    graph.connect(rover.updates, *rover.infos.values())
     graph.spin_until(node._tracker.is_complete, "the robot")
     for message in update_messages(rover.looks(-0.8, 0.0, 0.8)):
-        updates.publish(message)
+        rover.updates.publish(message)
     with running(graph, "next_best_view", tmp_path) as process:
         line = said(graph, process, "a view")
     words = re.match(r"look from (\S+) (\S+) (\S+) m", line)

@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 from geometry_msgs.msg import Twist
 
+from infomap_ros.errors import InfomapError
 from infomap_ros.nodes.fiducial_localization import FiducialLocalizationNode
 from infomap_ros.nodes.next_best_view import NextBestViewNode
 from infomap_ros.nodes.robot_driver import RobotDriverNode
@@ -123,9 +124,17 @@ def test_a_view_is_planned_on_a_map_that_is_told(graph: Any, tmp_path: Path) -> 
     rover = PaperRover(graph, tells_updates=False)
     node = start(graph, NextBestViewNode, **QUICK)
     graph.connect(rover.updates, *rover.infos.values())
-    graph.spin_until(node._tracker.is_complete, "the robot")
     for message in update_messages(rover.looks(-0.8, 0.0, 0.8)):
         rover.updates.publish(message)
+
+    def is_ready() -> bool:
+        try:
+            node._ready()
+        except InfomapError:
+            return False
+        return True
+
+    graph.spin_until(is_ready, "robot and map")
     with running(graph, "next_best_view", tmp_path) as process:
         line = said(graph, process, "a view")
     words = re.match(r"look from (\S+) (\S+) (\S+) m", line)

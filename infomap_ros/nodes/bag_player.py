@@ -65,7 +65,7 @@ def advertise_topics(
             text = f"{name} is not played: {channel.type_name} is not installed"
             node.get_logger().warning(text)
             continue
-        profile = qos.latched(depth=100) if channel.latched else qos.stream(depth=20)
+        profile = qos.latched(depth=100) if channel.latched else qos.stream(depth=50)
         target = name if name in _ABSOLUTE else name.lstrip("/")
         publishers[name] = node.advertise(kind, target, profile)
     if not publishers:

@@ -82,7 +82,7 @@ class RobotTopics:
         self._trajectories = node.advertise(JointTrajectory, "arm_trajectory", qos.stream(depth=1))
         self._results = MotionResults(node, tracker.notify)
         self.fused_scans = self._newest_update = 0
-        node.listen(PointCloud2, "map_updates", self._on_update, qos.stream(depth=50))
+        node.listen(PointCloud2, "map_updates", self._on_update, qos.stream(depth=200))
 
     def known_state(self, in_odometry: bool = False) -> RobotState | None:
         """See `RobotLink`."""

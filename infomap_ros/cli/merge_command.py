@@ -39,10 +39,11 @@ def merge(
     ] = False,
     overwrite: Overwrite = False,
 ) -> None:
-    """Join maps of several sessions or robots that are in one frame, or with --align are brought.
+    """Join maps of several sessions or robots that are in one frame.
 
-    The sums are the same in any order. Maps that contradict each other, hold the same session,
-    or differ in the size of their voxels are refused. A new file gets the settings of the first.
+    With --align they are brought into one. The sums are the same in any order. Maps that
+    contradict each other, hold the same session, or differ in the size of their voxels are
+    refused. A new file gets the settings of the first.
     """
     if len(map_files) < 2:
         raise InvalidInputError("map files", "there is one, expected two or more")

@@ -17,7 +17,7 @@ import datetime
 import json
 import os
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +35,7 @@ from infomap_ros.replay.bags.reader import BagReader
 from infomap_ros.replay.localizing.localize_run import LocalizeOptions
 from infomap_ros.stereo import StereoConfig
 from infomap_ros.stereo.evaluation import load_pairs, measure_errors
+from infomap_ros.stereo.range_cloud import RangeCloud
 
 PAGE = ROOT / "docs" / "results" / "kpi.md"
 PAIRS = ("stereo_motorcycle", "stereo_opencv_samples")
@@ -108,43 +109,46 @@ def stereo_range(data: Path, absent: list[str]) -> list[Row]:
 
 def room(data: Path, work: Path, absent: list[str]) -> list[Row]:
     """Maps from true poses, against frames that are not in them."""
-    sequence = SEQUENCES[ROOM]
-    path = bag_of(sequence, data, work)
+    path = bag_of(SEQUENCES[ROOM], data, work)
     if path is None:
         absent.append(f"{ROOM}, map")
         return []
     maps = [VoxelMap(VoxelMapConfig(voxel_size=size)) for size in SIZES]
     kept, fused, seconds = [], 0, dict.fromkeys(SIZES, 0.0)
-    with BagReader(path) as bag:
-        records = [entry.record for entry in bag.records([sequence.truth])]
-        poses = [record for record in records if isinstance(record, PoseRecord)]
-    with BagReader(path) as bag:
-        for number, view in enumerate(views_of(bag, LocalizeOptions())):
-            known, truth = truth_at(poses, [view.stamp])
-            if not known[0]:
-                continue
-            cloud = view.cloud()
-            if number % LEFT_OUT == LEFT_OUT // 2:
-                kept.append((cloud.points[::EVERY].astype(float), truth[0]))
-                continue
-            if fused == 0:  # compiled and warm
-                scan = cloud.organized_points, truth[0], cloud.organized_covariances
-                VoxelMap().integrate(*scan, camera=cloud.camera)
-            fused += 1
-            for voxel_map in maps:
-                begin = time.perf_counter()
-                voxel_map.integrate(
-                    cloud.organized_points,
-                    truth[0],
-                    cloud.organized_covariances,
-                    camera=cloud.camera,
-                    error_correlation=cloud.error_correlation,
-                )
-                seconds[voxel_map.config.voxel_size] += time.perf_counter() - begin
+    for number, cloud, pose in placed_clouds(path):
+        if number % LEFT_OUT == LEFT_OUT // 2:
+            kept.append((cloud.points[::EVERY].astype(float), pose))
+            continue
+        if fused == 0:  # compiled and warm
+            scan = cloud.organized_points, pose, cloud.organized_covariances
+            VoxelMap().integrate(*scan, camera=cloud.camera)
+        fused += 1
+        for voxel_map in maps:
+            begin = time.perf_counter()
+            voxel_map.integrate(
+                cloud.organized_points,
+                pose,
+                cloud.organized_covariances,
+                camera=cloud.camera,
+                error_correlation=cloud.error_correlation,
+            )
+            seconds[voxel_map.config.voxel_size] += time.perf_counter() - begin
     return [
         _compared(voxel_map, kept) | {"fused_per_second": fused / seconds[size]}
         for voxel_map, size in zip(maps, SIZES, strict=True)
     ]
+
+
+def placed_clouds(path: Path) -> Iterator[tuple[int, RangeCloud, np.ndarray]]:
+    """Number, cloud and true T_map_camera of each frame of the room whose pose is known."""
+    with BagReader(path) as bag:
+        records = [entry.record for entry in bag.records([SEQUENCES[ROOM].truth])]
+        poses = [record for record in records if isinstance(record, PoseRecord)]
+    with BagReader(path) as bag:
+        for number, view in enumerate(views_of(bag, LocalizeOptions())):
+            known, truth = truth_at(poses, [view.stamp])
+            if known[0]:
+                yield number, view.cloud(), truth[0]
 
 
 def _compared(voxel_map: VoxelMap, kept: list[tuple[np.ndarray, np.ndarray]]) -> Row:

@@ -20,26 +20,23 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from kpi import ROOM
-from localize_sequences import SEQUENCES, bag_of, views_of
+from kpi import ROOM, placed_clouds
+from localize_sequences import SEQUENCES, bag_of
 from rows import markdown_table, software
 from scipy.spatial.transform import Rotation
-from trajectory_errors import truth_at
 
 from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry import (
     PinholeCamera,
-    PoseRecord,
     PoseUncertainty,
     invert_transform,
     make_transform,
 )
 from infomap_ros.geometry.atomic_file import write_json, write_text
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
-from infomap_ros.replay.bags.reader import BagReader
-from infomap_ros.replay.localizing.localize_run import LocalizeOptions
 from infomap_ros.simulation.exploring.visible_surface import reachable_cameras
 from infomap_ros.simulation.worlds.builder import World
+from infomap_ros.simulation.worlds.gallery import look_at
 from infomap_ros.simulation.worlds.scenes import SCENES, scene_of
 from infomap_ros.studies.noisy_scans import RangeNoise, misplaced, random_pose_covariance
 from infomap_ros.team.registration import register_maps
@@ -90,9 +87,7 @@ def looking(place: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Pose of a camera that looks anywhere, level or down by up to 0.5 rad."""
     yaw, tilt = rng.uniform(-np.pi, np.pi), rng.uniform(0.0, 0.5)
     ahead = np.array([np.cos(yaw) * np.cos(tilt), np.sin(yaw) * np.cos(tilt), -np.sin(tilt)])
-    right = np.cross(ahead, (0.0, 0.0, 1.0))
-    right /= np.linalg.norm(right)
-    return make_transform(np.stack([right, np.cross(ahead, right), ahead], axis=1), place)
+    return look_at(place, place + ahead)
 
 
 def depth_of(world: World, T_world_camera: np.ndarray) -> np.ndarray:
@@ -108,25 +103,18 @@ def depth_of(world: World, T_world_camera: np.ndarray) -> np.ndarray:
 
 def kitchen(data: Path, work: Path) -> Pair:
     """Maps of the two halves of the frames of the kitchen, and T_first_second."""
-    sequence = SEQUENCES[ROOM]
-    path = bag_of(sequence, data, work)
+    path = bag_of(SEQUENCES[ROOM], data, work)
     if path is None:
         raise InvalidInputError(str(data), f"has no {ROOM}")
     turn = Rotation.from_euler("zyx", [2.0, 0.3, -0.2]).as_matrix()
     T_first_second = make_transform(turn, (1.0, -3.0, 0.5))
     maps = [VoxelMap(VoxelMapConfig(voxel_size=0.03)) for _ in range(2)]
-    with BagReader(path) as bag:
-        records = [entry.record for entry in bag.records([sequence.truth])]
-        poses = [record for record in records if isinstance(record, PoseRecord)]
-    with BagReader(path) as bag:
-        for number, view in enumerate(views_of(bag, LocalizeOptions())):
-            known, truth = truth_at(poses, [view.stamp])
-            if known[0]:
-                cloud, half = view.cloud(), int(number >= 125)
-                pose = truth[0] if not half else invert_transform(T_first_second) @ truth[0]
-                maps[half].integrate(
-                    cloud.organized_points, pose, cloud.organized_covariances, camera=cloud.camera
-                )
+    for number, cloud, T_first_camera in placed_clouds(path):
+        half = int(number >= 125)
+        pose = invert_transform(T_first_second) @ T_first_camera if half else T_first_camera
+        maps[half].integrate(
+            cloud.organized_points, pose, cloud.organized_covariances, camera=cloud.camera
+        )
     return maps[0], maps[1], T_first_second
 
 

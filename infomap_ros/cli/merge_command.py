@@ -50,8 +50,7 @@ def merge(
     check_free(out, overwrite)
     maps = [NamedMap(str(path), VoxelMap.load(path)) for path in map_files]
     placed = aligned_maps(maps) if align else []
-    if align:
-        maps = [maps[0], *(moved for moved, _ in placed)]
+    maps = [maps[0], *(moved for moved, _ in placed)] if align else maps
     merged, agreement = merge_maps(maps, common_frame or align)
     merged.save(out)
     if agreement.compared < LEAST_COMPARED and len({one.map.origin for one in maps} - {0}) != 1:

@@ -114,8 +114,11 @@ def aligned_maps(maps: Sequence[NamedMap]) -> list[tuple[NamedMap, Registration]
         InvalidInputError: one is not found, or in several places; names it.
         MissingExtraError: what registers them is not installed.
     """
-    found, whole = [], maps[0].map
+    found: list[tuple[NamedMap, Registration]] = []
+    whole = maps[0].map
     for name, voxel_map in maps[1:]:
+        if found:
+            whole = sum_of_maps([whole, found[-1][0].map])
         try:
             place = register_maps(whole, voxel_map)
         except InvalidInputError as error:
@@ -125,7 +128,6 @@ def aligned_maps(maps: Sequence[NamedMap]) -> list[tuple[NamedMap, Registration]
         put_offset(moved._storage, shared)
         moved.origin, moved.sessions = whole.origin, tuple(sorted(_sessions_of(voxel_map)))
         found.append((NamedMap(name, moved), place))
-        whole = sum_of_maps([whole, moved])
     return found
 
 

@@ -114,7 +114,8 @@ class _Surface:
         thin = gicp.voxelgrid_sampling(self.points, _RESOLUTIONS[0] * self.size).points()
         self.thin = np.asarray(thin)[:, :3]
         self.cloud = gicp.PointCloud(self.thin)
-        gicp.estimate_covariances(self.cloud, gicp.KdTree(self.cloud), _NEIGHBORS)
+        self.cloud_tree = gicp.KdTree(self.cloud)
+        gicp.estimate_covariances(self.cloud, self.cloud_tree, _NEIGHBORS)
         self.tree = cKDTree(self.oriented(self.points, self.normals))
         rng = np.random.default_rng(0)
         self.sample = np.sort(rng.permutation(len(self.points))[:_JUDGED])
@@ -235,9 +236,9 @@ class _Search:
 
     def _place(self, T: FloatArray) -> _Place:
         """The nearest place at which surfaces lie on each other."""
-        target, source = self._first.cloud, self._second.cloud
-        tree, reach = self._gicp.KdTree(target), _REACHES[0] * self._size
-        found = self._gicp.align(target, source, tree, T, max_correspondence_distance=reach)
+        clouds, tree = (self._first.cloud, self._second.cloud), self._first.cloud_tree
+        reach = _REACHES[0] * self._size
+        found = self._gicp.align(*clouds, tree, T, max_correspondence_distance=reach)
         return self._judged(self.refined(np.asarray(found.T_target_source), self._second.sample)[0])
 
     def _judged(self, T: FloatArray) -> _Place:

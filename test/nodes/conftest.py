@@ -6,6 +6,7 @@ import os
 import random
 import time
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -51,6 +52,12 @@ class Graph:
         self.executor.add_node(node)
         self.nodes.append(node)
         return node
+
+    def environment(self) -> dict[str, str]:
+        """Of a process that imports this package and is in the domain of the graph."""
+        root, given = str(Path(__file__).resolve().parents[2]), os.environ.get("PYTHONPATH")
+        path = os.pathsep.join(filter(None, (root, given)))
+        return {**os.environ, "ROS_DOMAIN_ID": str(self.domain), "PYTHONPATH": path}
 
     def publisher(self, message_type: type, topic: str, depth: int = 10) -> Any:
         """A reliable publisher of the tester."""

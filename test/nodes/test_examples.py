@@ -52,12 +52,9 @@ def start(graph: Any, node_class: Callable[..., Any], **settings: Any) -> Any:
 def running(graph: Any, node: str, folder: Path) -> Iterator[subprocess.Popen[str]]:
     """The program of a section as a process in the namespace of the graph."""
     (folder / "example.py").write_text(program(node), encoding="utf-8")
-    root = str(PAGE.parents[1])
-    environment = {**os.environ, "ROS_DOMAIN_ID": str(graph.domain)}
-    environment["PYTHONPATH"] = os.pathsep.join(filter(None, (root, os.environ.get("PYTHONPATH"))))
     command = [sys.executable, "example.py", "--ros-args", "-r", f"__ns:={graph.namespace}"]
     with subprocess.Popen(
-        command, cwd=folder, env=environment, stdout=subprocess.PIPE, text=True
+        command, cwd=folder, env=graph.environment(), stdout=subprocess.PIPE, text=True
     ) as process:
         try:
             yield process

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import signal
 import subprocess
 import sys
@@ -33,10 +32,7 @@ def test_a_node_that_waits_for_its_inputs_ends_when_it_is_told_to(
     for key, value in given.items():
         command += ["-p", f"{key.replace('__', '.')}:={json.dumps(value)}"]
     command += ["-r", f"__ns:={graph.namespace}"]
-    root = str(Path(__file__).resolve().parents[2])
-    environment = {**os.environ, "ROS_DOMAIN_ID": str(graph.domain)}
-    environment["PYTHONPATH"] = os.pathsep.join(filter(None, (root, os.environ.get("PYTHONPATH"))))
-    own = f"{graph.namespace}/{name}"
+    own, environment = f"{graph.namespace}/{name}", graph.environment()
     with (tmp_path / "log").open("wb") as log:
         process = subprocess.Popen(command, cwd=tmp_path, env=environment, stdout=log, stderr=log)
     try:

@@ -15,7 +15,7 @@ EXTRAS := ros tf2 viewer cluster merge test bench dev docs
 OPENGL := libegl1 libegl-mesa0 libgl1-mesa-dri libopengl0
 CAN_LOAD = $(PYTHON) -c 'import ctypes, sys; [ctypes.CDLL(name) for name in sys.argv[1:]]'
 HAS_OPENGL = { $(CAN_LOAD) libEGL.so.1 libOpenGL.so.0 || $(CAN_LOAD) libOSMesa.so.8; } 2>/dev/null
-RENDER = from infomap_ros.simulation.backend import select_backend; select_backend(); import mujoco; \
+RENDER = from infomap_ros.simulation import select_backend; select_backend(); import mujoco; \
 	mujoco.Renderer(mujoco.MjModel.from_xml_string("<mujoco/>"), 16, 16).close()
 BROWSERS := chromium chromium-browser google-chrome google-chrome-stable
 HAS_BROWSER = $(PYTHON) -c 'import shutil, sys; sys.exit(not any(map(shutil.which, sys.argv[1:])))' \
@@ -111,7 +111,7 @@ $(STAMPS)/package: setup.py setup.cfg package.xml $(STAMPS)/packages
 # Tried again each time until they are there; all but tf, the actions of robots and octrees works without.
 $(STAMPS)/messages: infomap_ros/nodes/common/message_packages.py | $(STAMPS)/package
 	@if $(BIN)/python -m infomap_ros.nodes.common.message_packages; then touch $@; \
-	else echo "going on without: no tf (tf2_msgs), actions (control_msgs, nav2_msgs), octrees (octomap_msgs)" >&2; fi
+	else echo "going on without: no tf (tf2_msgs), actions (control_msgs, nav2_msgs), detections (apriltag_msgs), octrees (octomap_msgs)" >&2; fi
 
 # The simulated camera renders off screen; recorded bags are mapped without.
 $(STAMPS)/rendering: | $(STAMPS)/package

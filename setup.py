@@ -104,10 +104,10 @@ setup(
             "setuptools>=78,<80",
         ],
         # What the benchmarks are compared with.
-        "bench": ["evo>=1.30", "pytracik>=0.0.3; platform_machine == 'x86_64'"],
+        "bench": ["evo>=1.30", "gtsam>=4.3", "pytracik>=0.0.3; platform_machine == 'x86_64'"],
         # The page that shows a run while it goes on.
         "viewer": ["viser>=1.1,<2"],
-        # Maps without a common frame, for `infomap merge --align`.
+        # Maps without a common frame, for `infomap merge --align` and `infomap changes --align`.
         "merge": ["kiss-matcher>=1.0.2", "small-gicp>=1.0.1"],
         # Workers on other machines, for `infomap map --cluster`.
         "cluster": ["distributed>=2024.8"],

@@ -28,7 +28,7 @@ from trajectory_errors import truth_at
 
 from infomap_ros.geometry import PoseRecord, invert_transform, transform_points
 from infomap_ros.localization.fiducials.appearance import (
-    AppearanceConfig,
+    MAX_RATIO,
     corners_of,
     describe,
     find_again,
@@ -36,7 +36,7 @@ from infomap_ros.localization.fiducials.appearance import (
 from infomap_ros.localization.fiducials.range_view import RangeView
 from infomap_ros.localization.fiducials.selection import select_fiducials
 from infomap_ros.replay.bags.reader import BagReader
-from infomap_ros.replay.localizing.localize_run import LocalizeOptions
+from infomap_ros.replay.localize_run import LocalizeOptions
 
 Matcher = Callable[[RangeView, np.ndarray, RangeView], tuple[np.ndarray, np.ndarray]]
 """First view, fiducials in it, second view -> rows of the fiducials, pixels in the second."""
@@ -72,7 +72,7 @@ def described(extractor: cv2.Feature2D, size: float) -> Matcher:
         return np.array([p.class_id for p in kept], int), descriptors
 
     def match(first: RangeView, pixels: np.ndarray, second: RangeView):  # type: ignore[no-untyped-def]
-        corners = corners_of(second.image, AppearanceConfig())
+        corners = corners_of(second.image)
         (a, da), (b, db) = at(first.image, pixels), at(second.image, corners)
         rows, columns = _mutual(da, db)
         return a[rows], corners[b[columns]]
@@ -103,8 +103,7 @@ def _mutual(first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarr
     good = [
         (best.queryIdx, best.trainIdx)
         for best, other in matcher.knnMatch(first, second, k=2)
-        if best.distance <= AppearanceConfig().max_ratio * other.distance
-        and back[best.trainIdx] == best.queryIdx
+        if best.distance <= MAX_RATIO * other.distance and back[best.trainIdx] == best.queryIdx
     ]
     rows = np.array(good, int).reshape(-1, 2)
     return rows[:, 0], rows[:, 1]

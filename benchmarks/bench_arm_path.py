@@ -1,4 +1,4 @@
-"""Ways of the rover's arm around a shelf and through a window, with whole motions checked at once.
+"""Paths of the rover's arm around a shelf and through a window, with whole motions checked at once.
 
 OMPL's RRTConnect plans with one compiled check per motion (`plan_arm_path`), beside one per state
 at the same spacing (`ompl_state`), with the same robot and obstacles. Prints one JSON line:
@@ -118,7 +118,7 @@ def main() -> None:
         qs = rng.uniform(robot.arm.lower, robot.arm.upper, (40 * arguments.queries, len(robot.arm)))
         qs = qs[checker.are_free(qs, BASE)]
         pairs = zip(qs[::2], qs[1::2], strict=False)
-        blocked = [pair for pair in pairs if checker.contact_on_way(*pair, BASE)]
+        blocked = [pair for pair in pairs if checker.contact_between(*pair, BASE)]
         queries = blocked[: arguments.queries]
         solvers: dict[str, Callable[[np.ndarray, np.ndarray], bool]] = {
             "plan_arm_path": lambda a, b, c=checker: plan_arm_path(c, a, b, BASE, config).converged,

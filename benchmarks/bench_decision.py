@@ -2,7 +2,7 @@
 
 Halls with boxes on a flat floor, known but for what lies behind the boxes and far corners; 5 cm
 voxels. The rover of `config/rover.urdf` stands in the middle: inverse kinematics, places to stand
-and ways of arm and base are asked for, as on a robot. Of `--repeats` decisions, with other
+and paths of arm and base are asked for, as on a robot. Of `--repeats` decisions, with other
 candidates each, the one with the least processor time counts, summed over both threads, because
 others may be using the machine. Prints one JSON line; `--figure` draws.
 

@@ -37,10 +37,10 @@ from infomap_ros.localization.fiducials.selection import (
     corner_candidates,
     select_fiducials,
 )
-from infomap_ros.localization.fiducials.sparse_stereo import SparseStereoConfig, match_pixels
+from infomap_ros.localization.fiducials.sparse_stereo import match_pixels
 from infomap_ros.localization.fiducials.tracker import FiducialTracker
 from infomap_ros.replay.bags.reader import BagReader
-from infomap_ros.replay.localizing.localize_run import LocalizeOptions
+from infomap_ros.replay.localize_run import LocalizeOptions
 from infomap_ros.stereo.evaluation import load_pairs
 from infomap_ros.stereo.images import gray
 
@@ -167,7 +167,7 @@ def pairs(data: Path) -> None:
         corners = corner_candidates(left, np.zeros((0, 2)), FiducialSelectionConfig(candidates=999))
         lowest = -math.ceil(pair.rig.principal_offset) - 2
         search = (lowest, pair.disparities)
-        disparity, sigma = match_pixels(left, right, corners, search, SparseStereoConfig())
+        disparity, sigma = match_pixels(left, right, corners, search)
         error = disparity - _smooth_truth(pair.truth, corners)
         matched = np.isfinite(error)
         total = np.hypot(sigma, pair.truth_sigma)[matched & (np.abs(error) < 1.5)]

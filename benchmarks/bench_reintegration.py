@@ -28,7 +28,7 @@ from infomap_ros.mapping.correction.scan_record import keep_scan
 from infomap_ros.mapping.correction.scan_store import ScanStore, integrate_record
 from infomap_ros.pipeline.pipeline import Fused
 from infomap_ros.replay.bags.reader import BagReader
-from infomap_ros.replay.mapping.map_run import MapRun
+from infomap_ros.replay.map_run import MapRun
 from infomap_ros.simulation.worlds.scenes import build_scene
 
 BAG = "bags/rover_rocks"
@@ -136,13 +136,13 @@ def measure(voxel_size: float, figure: Path | None) -> dict[str, float | int]:
     map_with_drift(frames[:2], config)  # compile
     voxel_map, store = map_with_drift(frames, config)
     before = VoxelMap.from_state(config, voxel_map.state())
-    poses = {frame.stamp: (frame.pose, frame.uncertainty) for frame in frames}
+    poses = {(frame.stamp, ""): (frame.pose, frame.uncertainty) for frame in frames}
     first, some = frames[0], list(store)[len(frames) // 2]
     start = time.perf_counter()
     moved = moved_scans(store, poses, voxel_map)
     report = Reintegration(voxel_map, store, moved).finish()
     taken = time.perf_counter() - start
-    last = {store_scan.stamp: poses[store_scan.stamp] for store_scan in list(store)[-1:]}
+    last = {store_scan.key: poses[store_scan.key] for store_scan in list(store)[-1:]}
     shifted = {s: (p @ make_transform(np.eye(3), [0.1, 0, 0]), c) for s, (p, c) in last.items()}
     start = time.perf_counter()
     one = Reintegration(voxel_map, store, moved_scans(store, shifted, voxel_map)).finish()

@@ -24,6 +24,7 @@ import infomap_ros.nodes  # noqa: F401  sets how memory is used, as for the node
 from infomap_ros.geometry import CameraCalibration
 from infomap_ros.stereo import StereoConfig, StereoRangeSensor, StereoRectifier
 from infomap_ros.stereo.images import gray
+from infomap_ros.stereo.matching import BLOCK_SIZE, SMOOTHNESS_LARGE, SMOOTHNESS_SMALL
 
 WIDTH, HEIGHT, FOCAL, BASELINE = 640, 480, 525.0, 0.12
 NEAREST = 0.482  # [m]: disparities 4 to 131
@@ -74,9 +75,9 @@ def measure(threads: int, color: bool, runs: int) -> dict[str, float]:
     plain = cv2.StereoSGBM.create(
         minDisparity=sensor.search.minimum,
         numDisparities=sensor.search.count,
-        blockSize=config.block_size,
-        P1=config.smoothness_small * config.block_size**2,
-        P2=config.smoothness_large * config.block_size**2,
+        blockSize=BLOCK_SIZE,
+        P1=SMOOTHNESS_SMALL * BLOCK_SIZE**2,
+        P2=SMOOTHNESS_LARGE * BLOCK_SIZE**2,
         mode=cv2.STEREO_SGBM_MODE_SGBM_3WAY,
     )
 

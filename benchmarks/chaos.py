@@ -140,7 +140,7 @@ class ChaosRun:
         if fault.in_motion:
             with contextlib.suppress(ProcessError):
                 run.spin_until(lambda: self.is_moving or run.ended, "a motion", MOVING)
-        told = {
+        known = {
             "fault": fault.kind,
             "victim": fault.victim,
             "in_motion": self.is_moving,
@@ -156,7 +156,7 @@ class ChaosRun:
             run.check()
             goes_on = False
         goes_on &= run.figures.get("state") != "ended: failed"
-        return told | self._verdict(goes_on) | {"seconds": round(time.monotonic() - begin, 1)}
+        return known | self._verdict(goes_on) | {"seconds": round(time.monotonic() - begin, 1)}
 
     @property
     def views(self) -> int:
@@ -281,8 +281,8 @@ def table(rows: list[dict[str, Any]]) -> str:
 def died(fault: Fault, error: ProcessError) -> dict[str, object]:
     """The row of a fault of which a node has died."""
     none = {"poses": 0, "beyond_3_sigma": 0, "contacts": 0, "seconds": 0.0}
-    told = {"fault": fault.kind, "victim": fault.victim, "in_motion": fault.in_motion}
-    return told | none | {"goes_on": False, "survived": False, "reason": str(error)}
+    known = {"fault": fault.kind, "victim": fault.victim, "in_motion": fault.in_motion}
+    return known | none | {"goes_on": False, "survived": False, "reason": str(error)}
 
 
 def main() -> int:

@@ -21,7 +21,7 @@ import room
 
 from infomap_ros.geometry import PinholeCamera, make_transform
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
-from infomap_ros.studies.metrics.published_metrics import EVERY_METRIC
+from infomap_ros.studies.published_metrics import EVERY_METRIC
 from infomap_ros.views.information.view_information import expected_information
 from infomap_ros.views.information.view_query import InformationConfig
 

@@ -103,7 +103,7 @@ def draw(count: int, step: float, turn: float, seed: int) -> list[Moment]:
     ground = float(world.terrain.height(np.zeros((1, 2)))[0])
     moments = []
     with Renderer(world.model, _FINE.width, _FINE.height) as renderer:
-        for pose in _way(count, step, turn, ground, np.random.default_rng(seed)):
+        for pose in _trajectory(count, step, turn, ground, np.random.default_rng(seed)):
             right = pose @ make_transform(np.eye(3), [BASELINE, 0.0, 0.0])
             images = [
                 cv2.resize(
@@ -118,7 +118,7 @@ def draw(count: int, step: float, turn: float, seed: int) -> list[Moment]:
     return moments
 
 
-def _way(
+def _trajectory(
     count: int, step: float, turn: float, ground: float, rng: np.random.Generator
 ) -> list[np.ndarray]:
     k = np.arange(count)

@@ -58,7 +58,7 @@ _COMMON = (
     "planner.threads=1",
     *(f"simulator.camera.{name}={value}" for name, value in DRAWN_FAST.items()),
 )
-_TOLD = 200  # letters of what a broken run said last
+_QUOTED = 200  # letters of what a broken run said last
 
 LEAST_COVERAGE, MOST_CANNOT_DRIVE = 0.95, 0.05
 LEAST_WITHIN = {2: 0.90, 3: 0.96}  # by sigmas, in each run
@@ -188,7 +188,7 @@ def _why(status: int, output: Path) -> str:
     lines = output.read_text(encoding="utf-8", errors="replace").split("\n")
     last = next((line.strip() for line in reversed(lines) if line.strip()), "it said nothing")
     how = f"was killed by signal {-status}" if status < 0 else f"ended with status {status}"
-    return f"{how}: {last[:_TOLD]}"
+    return f"{how}: {last[:_QUOTED]}"
 
 
 def kept(run: GateRun, out: Path, settings: Sequence[str]) -> Row | None:

@@ -32,7 +32,7 @@ from infomap_ros.localization.localizer_config import LocalizerConfig
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.mapping.scans.body import body_mask
 from infomap_ros.replay.bags.reader import BagReader
-from infomap_ros.replay.localizing.localize_run import LocalizeOptions, LocalizeRun
+from infomap_ros.replay.localize_run import LocalizeOptions, LocalizeRun
 from infomap_ros.simulation.recorder import RecorderConfig, record_bag
 from infomap_ros.simulation.worlds.scenes import SceneConfig
 

@@ -112,15 +112,17 @@ def map_files() -> st.SearchStrategy[bytes]:
             config = draw(config) if isinstance(config, st.SearchStrategy) else config
         entries, payloads = [], []
         for entry, raw in arrays:
-            told = dict(entry)
+            changed = dict(entry)
             if draw(st.integers(0, 5)) == 0:
                 value = draw(st.sampled_from(["shape", "dtype", "raw", "name", "level"]))
                 if value == "shape":
-                    told["shape"] = draw(st.lists(INTEGERS, max_size=4))
+                    changed["shape"] = draw(st.lists(INTEGERS, max_size=4))
                 elif value == "dtype":
-                    told["dtype"] = draw(st.sampled_from(["<f8", "|u1", "<i8", "|O", "<U9", "x"]))
+                    changed["dtype"] = draw(
+                        st.sampled_from(["<f8", "|u1", "<i8", "|O", "<U9", "x"])
+                    )
                 elif value == "name":
-                    told["name"] = draw(TEXTS)
+                    changed["name"] = draw(TEXTS)
                 elif value == "raw":
                     raw = (
                         draw(st.binary(min_size=len(raw), max_size=len(raw)))
@@ -128,7 +130,7 @@ def map_files() -> st.SearchStrategy[bytes]:
                         else bytes(len(raw))
                     )
             packed = zlib.compress(raw, draw(st.sampled_from([1, 9])))
-            entries.append({**told, "bytes": len(packed)})
+            entries.append({**changed, "bytes": len(packed)})
             payloads.append(packed)
         text = json.dumps({"config": config, "arrays": entries}).encode()
         content = text + b"".join(payloads)

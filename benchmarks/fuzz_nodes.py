@@ -103,7 +103,7 @@ def watched_nodes(recorded: Recorded) -> list[type]:
             recorded.note("pairs for stereo_range", images.stamp)
 
     class Localization(FiducialLocalizationNode):
-        def _on_view(self, view: Any) -> None:
+        def _on_view(self, view: Any, tags: Any) -> None:
             recorded.note("views for fiducial_localization", view.stamp)
 
     class Fusion(MapFusionNode):
@@ -149,7 +149,7 @@ class Rover:
         size = CAMERA.width, CAMERA.height
         return CameraCalibration(*size, intrinsics=CAMERA.matrix, projection=projection)
 
-    def tells(self, number: int) -> Iterator[tuple[str, Any]]:
+    def messages(self, number: int) -> Iterator[tuple[str, Any]]:
         """The messages of a round, with their topics."""
         self.go_to(number)
         stamp = BEGIN + number * PERIOD
@@ -181,11 +181,11 @@ class OddMessages:
 
     def __init__(self, rng: np.random.Generator) -> None:
         self._rng = rng
-        self._heard: dict[str, list[Any]] = {}
+        self._kept: dict[str, list[Any]] = {}
 
-    def hear(self, topic: str, message: Any) -> None:
+    def keep(self, topic: str, message: Any) -> None:
         """Remember some good messages, to be told again later."""
-        kept = self._heard.setdefault(topic, [])
+        kept = self._kept.setdefault(topic, [])
         if len(kept) < 20:
             kept.append(message)
         elif self._rng.random() < 0.1:
@@ -193,7 +193,7 @@ class OddMessages:
 
     def draw(self, topic: str, kind: type, stamp: int) -> Any:
         """An odd message of a topic."""
-        kept = self._heard.get(topic)
+        kept = self._kept.get(topic)
         if not kept:
             message = kind()
         else:
@@ -293,7 +293,7 @@ class Episodes:
         self._by_topic: dict[str, list[Callable[[Any], None]]] = {}
         for _, topic, _, callback in self._subscriptions:
             self._by_topic.setdefault(topic, []).append(callback)
-        good = {topic for topic, _ in self._rover.tells(0)}
+        good = {topic for topic, _ in self._rover.messages(0)}
         self._streams = [each for each in self._subscriptions if each[1] in good]
         self._rng = np.random.default_rng(seed)
         self._odd = OddMessages(self._rng)
@@ -313,27 +313,27 @@ class Episodes:
 
     def run(self) -> str:
         """One episode; returns what is wrong after it, or nothing."""
-        told = []
+        sent = []
         for _ in range(int(self._rng.integers(1, ODD + 1))):
             streams = self._streams if self._rng.random() < 0.5 else self._subscriptions
             node, topic, kind, callback = streams[int(self._rng.integers(len(streams)))]
             message = self._odd.draw(topic, kind, BEGIN + self._round * PERIOD)
-            told.append(f"{node.get_name()} {topic}: {str(message)[:300]}")
+            sent.append(f"{node.get_name()} {topic}: {str(message)[:300]}")
             try:
                 callback(message)
             except Exception as error:
-                raise AssertionError(f"{told[-1]}: {type(error).__name__}: {error}") from error
+                raise AssertionError(f"{sent[-1]}: {type(error).__name__}: {error}") from error
             self.messages, self.odd = self.messages + 1, self.odd + 1
             self._good(int(self._rng.integers(0, 3)))
         self._good(AFTER)
         wrong = self._wrong()
-        return f"{wrong} after {told}" if wrong else ""
+        return f"{wrong} after {sent}" if wrong else ""
 
     def _good(self, rounds: int) -> None:
         for _ in range(rounds):
             self._round += 1
-            for topic, message in self._rover.tells(self._round):
-                self._odd.hear(topic, message)
+            for topic, message in self._rover.messages(self._round):
+                self._odd.keep(topic, message)
                 for callback in self._by_topic.get(topic, ()):
                     callback(copy.copy(message))
                     self.messages += 1

@@ -42,7 +42,7 @@ def make_messages(key: TeamKey | None) -> list[Any]:
     own.integrate(points, np.eye(4))
     member = TeamMember(7, 1, 1000, CONFIG, TeamConfig(message_size=1400))
     member.begin(own)
-    rows = member.tell(own, 0.0) + member.digests(0.0)
+    rows = member.updates(own, 0.0) + member.digests(0.0)
     signed = [key.sign(part) if key else part for part in rows]
     return [encode_rows(TYPES, 0, "map", part) for part in signed]
 
@@ -97,18 +97,18 @@ def mutated(message: Any, rng: np.random.Generator) -> Any:
     return other
 
 
-def hear(member: TeamMember, key: TeamKey | None, message: Any) -> None:
+def receive(member: TeamMember, key: TeamKey | None, message: Any) -> None:
     """As a node does; what kind of message it is its facts say. That it is repeated is forgiven."""
     member._freshness = Freshness()
     rows = decode_rows(message)[2]
     if key is not None:
         rows = key.verify(rows)
     if any("digest=" in name for name in rows.dtype.names or ()):
-        member.hear_digest(rows, 1.0)
+        member.receive_digest(rows, 1.0)
     elif any("request=" in name for name in rows.dtype.names or ()):
-        member.hear_request(rows, 1.0)
+        member.receive_request(rows, 1.0)
     else:
-        member.hear_update(rows, 1.0)
+        member.receive_update(rows, 1.0)
 
 
 def identity(message: Any) -> tuple[bytes, str]:
@@ -124,12 +124,12 @@ def fuzz(count: int, seed: int, key: TeamKey | None) -> Counter[str]:
     originals = {identity(message) for message in messages}
     member = TeamMember(VICTIM, 2, 1000, CONFIG)
     for message in messages[: len(messages) // 2]:
-        hear(member, key, message)
+        receive(member, key, message)
     before = member.replica.hash()
     for _ in range(count):
         message = mutated(messages[rng.integers(len(messages))], rng)
         try:
-            hear(member, key, message)
+            receive(member, key, message)
             if identity(message) in originals:
                 results["as it was"] += 1
             else:

@@ -82,16 +82,16 @@ def updates(draw: Any) -> list[Rows]:
     if draw(st.booleans()):
         indices = np.unique(indices, axis=0)
     rng = np.random.default_rng(draw(seeds))
-    told = np.full(len(indices), version, np.uint32)
+    row_versions = np.full(len(indices), version, np.uint32)
     if draw(st.booleans()):
-        told = rng.choice(np.array([version, draw(versions), 1], np.uint32), len(indices))
+        row_versions = rng.choice(np.array([version, draw(versions), 1], np.uint32), len(indices))
     odds = rng.choice([-SHARED_LOG_ODDS_LIMIT, -1, 1, SHARED_LOG_ODDS_LIMIT], len(indices))
     if draw(st.booleans()):
         odds = np.full(len(indices), NOT_OBSERVED)
     codes = np.zeros((len(indices), 2), np.uint64)
     sender = draw(st.one_of(st.none(), robots))
     who = draw(sessions), sender
-    update = MapUpdate(0.1, draw(robots), told, indices, odds.astype(np.int8), codes, *who)
+    update = MapUpdate(0.1, draw(robots), row_versions, indices, odds.astype(np.int8), codes, *who)
     return encode_update(update, TEAM.message_size)
 
 
@@ -151,7 +151,7 @@ def kept_beside_the_map(member: TeamMember) -> int:
     things = len(reconciler._missed) + len(reconciler._held) + len(reconciler._asked)
     things += len(reconciler._behind) + len(reconciler._compared) + len(reconciler._untold)
     things += sum(map(len, reconciler.losses._lost.values())) + len(reconciler._requests)
-    things += sum(map(len, member._freshness._heard.values())) + len(member._taken_back)
+    things += sum(map(len, member._freshness._received.values())) + len(member._taken_back)
     things += sum(map(len, member._membership._sessions.values()))
     things += sum(map(len, outbox._answers.values())) + len(outbox._sent._asked)
     wanted = [each for asked in reconciler._wanted.values() for each in asked.values()]
@@ -199,35 +199,35 @@ class Victim:
         refused = []
         self.look()
         for number, (speaker, own) in enumerate(self.pairs):
-            hearer = self.pairs[1 - number][0]
-            for name, told in (
-                ("hear_update", speaker.tell(own, self.now)),
-                ("hear_digest", speaker.digests(self.now)),
-                ("hear_request", speaker.requests(self.now)),
+            receiver = self.pairs[1 - number][0]
+            for name, messages in (
+                ("receive_update", speaker.updates(own, self.now)),
+                ("receive_digest", speaker.digests(self.now)),
+                ("receive_request", speaker.requests(self.now)),
             ):
-                for rows in told:
+                for rows in messages:
                     try:
-                        getattr(hearer, name)(rows, self.now)
+                        getattr(receiver, name)(rows, self.now)
                     except UpdateRefusedError as error:
-                        own = name == "hear_update" and decode_update(rows).sender is None
+                        own = name == "receive_update" and decode_update(rows).sender is None
                         if number == 0 and own:
                             refused.append(str(error))
         return refused
 
-    def hear(self, kind: str, rows: Rows) -> float:
+    def receive(self, kind: str, rows: Rows) -> float:
         """Tell one message; returns the processor's time for it [s]."""
-        names = {"update": "hear_update", "request": "hear_request"}
+        names = {"update": "receive_update", "request": "receive_request"}
         start = time.thread_time()
         try:
-            getattr(self.member, names.get(kind, "hear_digest"))(rows, self.now)
-            result = "heard"
+            getattr(self.member, names.get(kind, "receive_digest"))(rows, self.now)
+            result = "received"
         except InfomapError as error:
             reason = error.reason if isinstance(error, UpdateRefusedError) else type(error).__name__
             result = f"refused: {reason}"
         self.results[f"{kind}, {result}"] += 1
         return time.thread_time() - start
 
-    def endure(self, told: list[Any]) -> None:
+    def endure(self, messages: list[Any]) -> None:
         """A round: hear these messages, with pauses, and judge.
 
         Raises:
@@ -235,9 +235,9 @@ class Victim:
         """
         size = count = 0
         before, spent = self.member.replica.memory_bytes(), 0.0
-        for (kind, parts, times), pause in told:
+        for (kind, parts, times), pause in messages:
             for rows in parts * times:
-                took = self.hear(kind, rows)
+                took = self.receive(kind, rows)
                 size, count, spent = size + message_bytes(rows), count + 1, spent + took
                 self.worst = max(self.worst, took)
                 assert took < MOST_TIME, (kind, took, len(rows))
@@ -275,19 +275,19 @@ class Board:
         self.board, self.now, self.results = AgentBoard(1, 11), 0.0, Counter[str]()
         other = AgentBoard(1, 11)
         for _ in range(2):  # what is compiled is compiled now
-            other.hear(agent_text(), 0.0, START)
+            other.receive(agent_text(), 0.0, START)
 
-    def endure(self, told: list[Any]) -> None:
+    def endure(self, messages: list[Any]) -> None:
         """A round: hear these texts, with pauses, and judge.
 
         Raises:
             AssertionError: a bound of this file is broken.
         """
-        for changes, pause in told:
+        for changes, pause in messages:
             text = json.dumps(json.loads(agent_text()) | changes)
             start = time.thread_time()
             try:
-                result = "heard" if self.board.hear(text, self.now, START) else "no news"
+                result = "received" if self.board.receive(text, self.now, START) else "not new"
             except InfomapError as error:
                 result = f"refused: {type(error).__name__}"
             took = time.thread_time() - start
@@ -313,9 +313,9 @@ def endure_rounds(victim: Victim | Board, first_seed: int, count: int) -> None:
         phases=[Phase.generate],
         suppress_health_check=list(HealthCheck),
     )
-    @given(told=rounds if isinstance(victim, Victim) else agent_rounds)
-    def endure(told: list[Any]) -> None:
-        victim.endure(told)
+    @given(messages=rounds if isinstance(victim, Victim) else agent_rounds)
+    def endure(messages: list[Any]) -> None:
+        victim.endure(messages)
 
     endure()
 
@@ -327,7 +327,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     arguments = parser.parse_args()
     end, turn, victims = time.monotonic() + arguments.seconds, arguments.seed, 0
-    results, worst, heard = Counter[str](), 0.0, Counter[str]()
+    results, worst, largest = Counter[str](), 0.0, Counter[str]()
     while time.monotonic() < end:
         turn, victim, board = turn + 1000, Victim(), Board()
         victims += 1
@@ -336,12 +336,12 @@ def main() -> None:
         endure_rounds(board, turn, 200)
         results.update(victim.results + board.results)
         worst = max(worst, victim.worst)
-        heard["robots"] = max(heard["robots"], len(victim.member.replica.robots))
+        largest["robots"] = max(largest["robots"], len(victim.member.replica.robots))
     for name, count in sorted(results.items()):
         print(f"{count:9d} {name}")
     print(
         f"{results.total()} messages to {victims} robots in {arguments.seconds:.0f} s; "
-        f"the slowest took {1e3 * worst:.0f} ms; {heard['robots']} robots in a map at the most"
+        f"the slowest took {1e3 * worst:.0f} ms; {largest['robots']} robots in a map at the most"
     )
 
 

@@ -67,8 +67,8 @@ class StarryNight:
     def motion(self, step: int) -> MotionPrior:
         """Motion of the camera from a step to the next, as speed and turn rate tell it."""
         seconds = self.seconds[step + 1] - self.seconds[step]
-        way, turn = seconds * self._rates[step, :3], seconds * self._rates[step, 3:]
-        vehicle = make_transform(Rotation.from_rotvec(turn).as_matrix(), way)
+        shift, turn = seconds * self._rates[step, :3], seconds * self._rates[step, 3:]
+        vehicle = make_transform(Rotation.from_rotvec(turn).as_matrix(), shift)
         mount, into = self._T_vehicle_camera, self._T_vehicle_camera[:3, :3].T
         over = np.kron(np.eye(2), into)
         over[:3, 3:] = -into @ skew(vehicle[:3, :3] @ mount[:3, 3])

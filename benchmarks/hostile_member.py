@@ -39,7 +39,7 @@ def main() -> int:
     print("| | without | with the liar |\n| --- | --- | --- |")
     for row in rows:
         print("| " + " | ".join(map(str, row)) + " |")
-    print(json.dumps({"told": hostile.told, "refused": hostile.refused}))
+    print(json.dumps({"sent": hostile.sent, "refused": hostile.refused}))
     is_within = hostile.memory <= 1e9 * given.memory_limit
     return 0 if all(same) and is_as_without and is_within else 1
 

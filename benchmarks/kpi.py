@@ -1,10 +1,11 @@
 """The figures of a release: real cameras in real places, with default settings only.
 
-Localization on all sequences beside what one writes with OpenCV in an afternoon; range on pairs
+Localization on all sequences beside a smoother of GTSAM and PnP from frame to frame; range on pairs
 with true disparity beside the plain matcher; a map of a real room against frames that were left out
 of it. Prints one JSON line; with `--write` also docs/results/kpi.md.
 
-    python benchmarks/kpi.py [--data FOLDER] [--work FOLDER] [--write] [--map-only]
+    python benchmarks/kpi.py [--data FOLDER] [--work FOLDER] [--write]
+        [--only {localization,map}]
 
 Real data are looked for in `--data` (default: INFOMAP_DATA or ../shared/data); what is absent is
 named and left out.
@@ -32,7 +33,7 @@ from infomap_ros.geometry import PoseRecord, transform_points
 from infomap_ros.geometry.atomic_file import write_text
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.replay.bags.reader import BagReader
-from infomap_ros.replay.localizing.localize_run import LocalizeOptions
+from infomap_ros.replay.localize_run import LocalizeOptions
 from infomap_ros.stereo import StereoConfig
 from infomap_ros.stereo.evaluation import load_pairs, measure_errors
 from infomap_ros.stereo.range_cloud import RangeCloud
@@ -40,23 +41,24 @@ from infomap_ros.stereo.range_cloud import RangeCloud
 PAGE = ROOT / "docs" / "results" / "kpi.md"
 PAIRS = ("stereo_motorcycle", "stereo_opencv_samples")
 ROOM = "rgbd_kitchen"
+PEERS = ["klt_gtsam", "klt_pnp", "orb_pnp"]
 LEFT_OUT = 10  # every so many frames one is not mapped
 EVERY = 31  # pixel of such a frame is compared
 SIZES = (0.05, 0.03)  # of voxels, the default first [m]
 NEIGHBORS = np.array(np.meshgrid(*[(-1, 0, 1)] * 3)).reshape(3, -1).T
-MAP_TITLE = "## Map"
+LOCALIZATION_TITLE, MAP_TITLE = "## Localization", "## Map"
 Row = dict[str, Any]
 
 
 def localization(data: Path, work: Path, absent: list[str]) -> list[Row]:
-    """Errors on each sequence, of this package and of two peers on the same frames."""
+    """Errors on each sequence, of this package and of peers on the same frames."""
     rows = []
     for name, sequence in SEQUENCES.items():
         bag = bag_of(sequence, data, work)
         if bag is None:
             absent.append(name)
             continue
-        for method, figures in compare(bag, sequence, ["klt_pnp", "orb_pnp"]).items():
+        for method, figures in compare(bag, sequence, PEERS).items():
             meters = float(figures["delta"])
             rows.append(
                 {
@@ -217,30 +219,7 @@ def page(figures: Row) -> str:
         f"with version {figures['version']} on {figures['date']}, in {figures['minutes']:.0f} "
         f"minutes on {os.cpu_count()} cores. Absent: {', '.join(figures['absent']) or 'nothing'}.",
         "",
-        "## Localization",
-        "",
-        "Errors over pieces of the path as evo takes them ([sequences and peers]"
-        "(localization.md)). KLT and ORB with PnP follow the same frames and range images. By the "
-        "calibration of stereo_kitti_curve disparities are about 1 px too small.",
-        "",
-        "NEES/6: squared errors of the poses by their covariances and that of the truth, median "
-        "and mean over the views; 1 where sigmas are true, smaller where they are too large. The "
-        "cameras of rover_rocks and room loop are simulated and exact, while sigmas hold the error "
-        "of [disparity](../localization.md) that a calibrated camera is expected to have.",
-        "",
-        "| sequence | method | views | not located | APE [mm] | translation [%] "
-        "| rotation [deg/m] | NEES/6 median, mean | frames/s |",
-        "|" + " --- |" * 9,
-    ]
-    lines += [
-        f"| {row['sequence']} | {row['method']} | {row['views']} | {row['not_located']} "
-        f"| {row['ape_mm']:.1f} | {row['translation_percent']:.2f} "
-        f"| {row['rotation_deg_per_m']:.3f} | {nees_text(row)} "
-        f"| {row['frames_per_second']:.1f} |"
-        for row in figures["localization"]
-    ]
-    lines += [
-        "",
+        *localization_section(figures["localization"]),
         *landmark_section(figures["landmarks"]),
         "## Range",
         "",
@@ -258,6 +237,36 @@ def page(figures: Row) -> str:
         for row in figures["range"]
     ]
     return "\n".join([*lines, "", *map_section(figures["room"])])
+
+
+def localization_section(rows: list[Row]) -> list[str]:
+    """Errors of localization and of its peers, as lines of Markdown."""
+    return [
+        LOCALIZATION_TITLE,
+        "",
+        "Errors over pieces of the path as evo takes them ([sequences and peers]"
+        "(localization.md)). Peers get the same images, and ranges where they ask for them: a "
+        "fixed-lag smoother of GTSAM on corners followed by KLT, and KLT and ORB with PnP from "
+        "image to image. By the calibration of stereo_kitti_curve disparities are about 1 px too "
+        "small.",
+        "",
+        "NEES/6: squared errors of the poses by their covariances and that of the truth, median "
+        "and mean over the views; 1 where sigmas are true, smaller where they are too large. The "
+        "cameras of rover_rocks and room loop are simulated and exact, while sigmas hold the error "
+        "of [disparity](../localization.md) that a calibrated camera is expected to have.",
+        "",
+        "| sequence | method | views | not located | APE [mm] | translation [%] "
+        "| rotation [deg/m] | NEES/6 median, mean | frames/s |",
+        "|" + " --- |" * 9,
+        *(
+            f"| {row['sequence']} | {row['method']} | {row['views']} | {row['not_located']} "
+            f"| {row['ape_mm']:.1f} | {row['translation_percent']:.2f} "
+            f"| {row['rotation_deg_per_m']:.3f} | {nees_text(row)} "
+            f"| {row['frames_per_second']:.1f} |"
+            for row in rows
+        ),
+        "",
+    ]
 
 
 def map_section(rows: list[Row]) -> list[str]:
@@ -288,15 +297,17 @@ def map_section(rows: list[Row]) -> list[str]:
     ]
 
 
-def with_map(text: str, rows: list[Row]) -> str:
-    """A page with the figures of the map made anew."""
+def with_section(text: str, part: str, rows: list[Row]) -> str:
+    """A page with the figures of one part made anew."""
+    title, *rest = (localization_section if part == "localization" else map_section)(rows)
     made = (
-        f"This section was made alone, by `python benchmarks/kpi.py --map-only --write` on "
-        f"{datetime.date.today().isoformat()} beside other processes, so scans per second are "
-        "too low."
+        f"This section was made alone, by `python benchmarks/kpi.py --only {part} --write` with "
+        f"version {infomap_ros.__version__} on {datetime.date.today().isoformat()}."
     )
-    title, *rest = map_section(rows)
-    return text[: text.index(MAP_TITLE)] + "\n".join([title, "", made, *rest])
+    before, after = text.split(f"{title}\n", 1)
+    following = after.find("\n## ")
+    kept = "" if following < 0 else after[following:]
+    return before + "\n".join([title, "", made, *rest]) + kept
 
 
 def main() -> None:
@@ -304,17 +315,18 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     add_folders(parser)
     parser.add_argument("--write", action="store_true", help="docs/results/kpi.md")
-    parser.add_argument("--map-only", action="store_true", help="leave out all but the map")
+    parser.add_argument("--only", choices=("localization", "map"), help="a part of it")
     arguments = parser.parse_args()
     arguments.work.mkdir(parents=True, exist_ok=True)
     begin, absent = time.monotonic(), list[str]()
     figures: Row = {"benchmark": "kpi", "version": infomap_ros.__version__}
     figures["date"] = datetime.date.today().isoformat()
-    if arguments.map_only:
-        rows = room(arguments.data, arguments.work, absent)
-        print(json.dumps(figures | {"room": rows, "absent": absent}))
+    if arguments.only is not None:
+        measure = localization if arguments.only == "localization" else room
+        rows = measure(arguments.data, arguments.work, absent)
+        print(json.dumps(figures | {arguments.only: rows, "absent": absent}))
         if arguments.write and rows:
-            write_text(PAGE, with_map(PAGE.read_text("utf-8"), rows))
+            write_text(PAGE, with_section(PAGE.read_text("utf-8"), arguments.only, rows))
         return
     figures["localization"] = localization(arguments.data, arguments.work, absent)
     given = arguments.data / STARRY_NIGHT

@@ -1,10 +1,10 @@
 """Trajectory errors of localization on real and simulated sequences, against baselines.
 
-Every sequence goes through `infomap_ros.replay.localizing.localize_run.LocalizeRun` with the
+Every sequence goes through `infomap_ros.replay.localize_run.LocalizeRun` with the
 default settings; the rover's bag with its odometry and from the images alone. The baselines
-(`odometry_baselines.py`) follow the same views from frame to frame without odometry. Errors are
-those of evo (`trajectory_errors.py`) against the sequence's truth. Prints a table and one JSON
-line.
+follow the same views without odometry: from frame to frame (`odometry_baselines.py`), or by a
+smoother (`klt_smoother.py`). Errors are those of evo (`trajectory_errors.py`) against the
+sequence's truth. Prints a table and one JSON line.
 
     python benchmarks/localize_sequences.py [--data FOLDER] [--work FOLDER] [--only NAME ...]
         [--baselines NAME ...]
@@ -24,7 +24,8 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 import numpy as np
-from odometry_baselines import BASELINES, follow
+from klt_smoother import klt_gtsam
+from odometry_baselines import BASELINES as FRAME_TO_FRAME
 from stereo_bag import write_stereo_bag
 from trajectory_errors import TrajectoryErrors, pose_nees, trajectory_errors, truth_at
 
@@ -33,7 +34,7 @@ from infomap_ros.geometry import PoseRecord
 from infomap_ros.localization.fiducials.range_view import RangeView
 from infomap_ros.pipeline.perception import FramedView
 from infomap_ros.replay.bags.reader import BagReader
-from infomap_ros.replay.localizing.localize_run import (
+from infomap_ros.replay.localize_run import (
     LocalizeOptions,
     LocalizeRun,
     find_localize_inputs,
@@ -67,6 +68,7 @@ class Sequence:
     truth_sigmas: tuple[float, float] = (0.0, 0.0)
 
 
+BASELINES = {"klt_gtsam": klt_gtsam, **FRAME_TO_FRAME}
 OXTS = (0.02, 0.0017)
 """Of KITTI's truth, by the data sheet of its OXTS RT 3003: 2 cm, 0.1 degrees of heading."""
 MOCAP = (0.0005, 0.003)
@@ -136,22 +138,34 @@ def compare(path: Path, sequence: Sequence, baselines: list[str]) -> dict[str, d
         located = {"views": total, "not_located": total - len(trajectory), "seconds": seconds}
         results[name] = asdict(errors) | located
     located = run.log.trajectory
-    known, reference = truth_at(truth, located.stamps.tolist())
-    poses, covariances = located.transforms[known], located.covariances[known]
-    nees = pose_nees(reference, poses, covariances, sequence.truth_sigmas)
-    results["localization"] |= {"nees_median": np.median(nees), "nees_mean": np.mean(nees)}
+    results["localization"] |= nees_of(
+        truth, located.stamps.tolist(), located.transforms, located.covariances, sequence
+    )
     for name in baselines:
         start = time.perf_counter()
         with BagReader(path) as bag:
-            stamps, poses, failures = follow(views_of(bag, options), BASELINES[name])
-        errors = errors_of(truth, stamps, poses, sequence.delta)
+            stamps, poses, failures, covariances = BASELINES[name](views_of(bag, options))
         seconds = time.perf_counter() - start
-        results[name] = asdict(errors) | {
+        results[name] = asdict(errors_of(truth, stamps, poses, sequence.delta)) | {
             "views": len(stamps),
             "not_located": failures,
             "seconds": seconds,
         }
+        if covariances is not None:
+            results[name] |= nees_of(truth, stamps, poses, covariances, sequence)
     return results
+
+
+def nees_of(
+    truth: list[PoseRecord],
+    stamps: list[int],
+    poses: np.ndarray,
+    covariances: np.ndarray,
+    sequence: Sequence,
+) -> dict[str, float]:
+    known, reference = truth_at(truth, stamps)
+    nees = pose_nees(reference, poses[known], covariances[known], sequence.truth_sigmas)
+    return {"nees_median": float(np.median(nees)), "nees_mean": float(np.mean(nees))}
 
 
 def errors_of(

@@ -22,7 +22,7 @@ from scipy.spatial.transform import Rotation
 
 from infomap_ros.geometry import PoseRecord, invert_transform, transform_points
 from infomap_ros.replay.bags.reader import BagReader
-from infomap_ros.replay.localizing.localize_run import LocalizeOptions, LocalizeRun
+from infomap_ros.replay.localize_run import LocalizeOptions, LocalizeRun
 
 EVERY = 12  # pairs begin at every so many frames
 FARTHEST = 2.5  # [m]

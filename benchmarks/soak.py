@@ -71,7 +71,7 @@ class Soak:
         state = self._run.state
         sample = {
             "elapsed_s": round(elapsed),
-            "heard": self._played[LEFT],
+            "received": self._played[LEFT],
             "fused": state.count("map_fusion"),
             "map_mb": round(state.count("map_fusion", "map memory [bytes]") / 1e6, 1),
         }
@@ -94,8 +94,8 @@ class Soak:
             "clouds": state.count("map_fusion", "/points2 count"),
             "fused": state.count("map_fusion"),
         }
-        heard = self._played[LEFT]  # the listener may be discovered after the first pairs
-        kept = len(set(pairs.values())) == 1 and heard <= pairs["fused"] < heard + 10
+        received = self._played[LEFT]  # the listener may be discovered after the first pairs
+        kept = len(set(pairs.values())) == 1 and received <= pairs["fused"] < received + 10
         ratios = [*growth.values(), *growth_in_use.values()]
         flat = all(value <= ALLOWED_GROWTH for value in ratios)
         return {
@@ -104,7 +104,7 @@ class Soak:
             "flat": flat,
             "growth": growth,
             "growth_in_use": growth_in_use,
-            "heard": heard,
+            "received": received,
             **pairs,
             "drops": state.drops(),
             "passed": flat and kept and not state.drops(),

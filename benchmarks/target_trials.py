@@ -90,7 +90,7 @@ def tag_rows(trials: int) -> Iterator[dict[str, object]]:
                     pose = seen_from(board, distance, tilt, rng)
                     view = BoardView(board, pose, rng, sigma)
                     began = time.process_time()
-                    tags = detector.find(view.image)
+                    tags = detector.find(view)
                     noise = rng.normal(0.0, CORNER_SIGMA, tags.corners.shape)
                     result = detector.locate(tags._replace(corners=tags.corners + noise), view)
                     row.seconds += time.process_time() - began

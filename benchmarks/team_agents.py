@@ -47,11 +47,11 @@ def presence(x: float, stamp: int) -> Presence:
     return Presence(stamp, state, robot, CAMERA, 4.0, "looking", "/rover1/robot_description")
 
 
-def teller(key: TeamKey | None = None) -> Teamwork:
+def teamwork(key: TeamKey | None = None) -> Teamwork:
     """A robot that is heading for a view."""
     team = Teamwork(1, 1, 1, key=key)
-    way = np.cumsum(np.full((60, 3), 0.05), axis=0)
-    team.claim(make_transform(np.eye(3), (3.0, 3.0, 0.7)), way, {2: 17, 3: 21})
+    path = np.cumsum(np.full((60, 3), 0.05), axis=0)
+    team.claim(make_transform(np.eye(3), (3.0, 3.0, 0.7)), path, {2: 17, 3: 21})
     return team
 
 
@@ -66,30 +66,30 @@ def milliseconds(action: Callable[[], object], count: int = 200) -> float:
 
 def costs() -> dict[str, float]:
     """Processor time of what is done for each message or scan [ms]."""
-    one, two, types = teller(), Teamwork(2, 2, 2), RclpyMessageTypes()
+    one, two, types = teamwork(), Teamwork(2, 2, 2), RclpyMessageTypes()
     me = presence(2.0, 10**9)
-    agent, text = teller().tell(me)
+    agent, text = teamwork().announcement(me)
     message = encode_agent(types, "map", agent, text, 5.0)
     bodies = TeamBodies()
     bodies.describe(1, me.robot)
-    bodies.hear(agent)
+    bodies.receive(agent)
     rotation = [[0, 0, 1], [-1, 0, 0], [0, -1, 0]]
     camera = PoseRecord(10**9, "map", make_transform(rotation, (0, 0, 0.7)), 1e-6 * np.eye(6))
     points = CAMERA.back_project(np.full((480, 640), 3.0))
     spread = np.float32(1e-4) * np.eye(3, dtype=np.float32)
     covariances = np.broadcast_to(spread, (480, 640, 3, 3))
 
-    def tell() -> None:
-        encode_agent(types, "map", *one.tell(me), 5.0)
+    def announce() -> None:
+        encode_agent(types, "map", *one.announcement(me), 5.0)
 
-    def hear() -> None:
-        for _, heard in decode_agent_texts(message):
-            two.hear(heard, 0.0)
+    def receive() -> None:
+        for _, received in decode_agent_texts(message):
+            two.receive(received, 0.0)
 
     return {
         "bytes of the text": len(text),
-        "tell [ms]": milliseconds(tell),
-        "hear [ms]": milliseconds(hear),
+        "announce [ms]": milliseconds(announce),
+        "receive [ms]": milliseconds(receive),
         "cut from a scan of 640x480 [ms]": milliseconds(
             lambda: bodies.mask(points, covariances, camera), 20
         ),
@@ -116,13 +116,13 @@ def mutated(text: str, rng: np.random.Generator) -> str:
 def fuzz(count: int, seed: int, key: TeamKey | None) -> Counter[str]:
     """Have a robot hear mutated messages; returns what became of them."""
     rng, results = np.random.default_rng(seed), Counter[str]()
-    one, two, me = teller(key), Teamwork(2, 2, 2, team=(1, 2), key=key), presence(2.0, 10**9)
+    one, two, me = teamwork(key), Teamwork(2, 2, 2, team=(1, 2), key=key), presence(2.0, 10**9)
     for number in range(count):
         if number % 1000 == 0:
-            whole = one.tell(replace(me, stamp=me.stamp + number)).text
+            whole = one.announcement(replace(me, stamp=me.stamp + number)).text
         text = mutated(whole, rng)
         try:
-            two.hear(text, number * 1e-3)
+            two.receive(text, number * 1e-3)
             same = text.partition("\n")[0] == whole.partition("\n")[0]
             results["as it was" if same else "taken for genuine"] += 1
         except InfomapError as error:

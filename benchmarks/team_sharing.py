@@ -97,11 +97,12 @@ def link(
         network.step()
         meter.check()
     lags = np.array(meter.lags)
-    told = sum(robot.told for robot in network.robots)
+    changed = sum(robot.changed for robot in network.robots)
     sent = sum(sum(robot.sent.values()) for robot in network.robots)
     print(f"loss {radio.loss:.0%}, {radio.rate / 1e6:g} Mbit/s, messages of {message_size} bytes")
     print(
-        f"{len(lags)} views of {told / len(lags):.0f} changed voxels, {sent / told:.2f} bytes each"
+        f"{len(lags)} views of {changed / len(lags):.0f} changed voxels, "
+        f"{sent / changed:.2f} bytes each"
     )
     print(f"{4e-6 * sent / seconds:.1f} Mbit/s sent by each robot")
     print(
@@ -114,7 +115,7 @@ def link(
 def team(sizes: list[int], seconds: float, voxel_size: float) -> None:
     """Bytes and processor time of each robot, for teams of several sizes."""
     print(
-        "| robots | sent by each [kB/s] | heard by each [kB/s] | processor of each [%] | "
+        "| robots | sent by each [kB/s] | received by each [kB/s] | processor of each [%] | "
         "memory of each [MB] | same hash |"
     )
     print("| --- | --- | --- | --- | --- | --- |")

@@ -52,7 +52,7 @@ def explore(name: str, seed: int, robots: int, out: Path, settings: list[str]) -
 
 def print_table(pairs: list[tuple[dict[str, Any], dict[str, Any]]]) -> None:
     """One row per world: the robot alone, and each robot of the team."""
-    print("| world | coverage | views of each | way of each | time | contacts | same hash, after |")
+    print("| world | coverage | views each | driven by each | time | contacts | same hash, after |")
     print("|" + " --- |" * 7)
     for one, team in pairs:
         agreed = f"yes, {team['agreed_after']} s" if team["same_hash"] else "no"

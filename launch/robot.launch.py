@@ -39,7 +39,7 @@ ARGUMENTS = {
     "known_fraction": (str(TASK.known_fraction), "Share of the surface that must be known."),
     "surface_sigma": (str(TASK.surface_sigma), "Standard deviation that is precise enough [m]."),
     "max_views": (str(TASK.max_views), "Budget of views."),
-    "max_distance": (str(TASK.max_distance), "Budget of the way of the base [m]."),
+    "max_distance": (str(TASK.max_distance), "Budget of the distance driven [m]."),
     "max_time": (str(TASK.max_time), "Budget of time [s]."),
     "autostart": (
         "auto",
@@ -51,7 +51,7 @@ ARGUMENTS = {
         "Start robot_driver, which moves the robot by the controllers that its file names; without "
         "it the robot must obey base_path and arm_trajectory itself. auto: for a real robot.",
     ),
-    "plan_only": ("false", "Publish views and ways, and move nothing."),
+    "plan_only": ("false", "Publish views and paths, and move nothing."),
     "resume": ("false", "Go on with map_file and mission_file."),
     "map_file": ("map.infomap", "File of the map, saved from time to time and at the end."),
     "mission_file": ("mission.json", "File with the account of the mission."),

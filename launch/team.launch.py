@@ -12,7 +12,7 @@ from infomap_ros.exploration.task import TaskConfig
 from infomap_ros.nodes.live.demo_command import demo_world, task_parameters
 from infomap_ros.nodes.live.launching import ROBOT_ARGUMENTS, RobotLaunch, launch_description
 from infomap_ros.nodes.live.live_exploration import member_parameters, robot_names
-from infomap_ros.simulation.multi_robot.team_world import team_starts
+from infomap_ros.simulation.team_world import ABREAST, APART, team_starts
 from launch import LaunchDescription
 
 TASK = TaskConfig()
@@ -20,6 +20,7 @@ ARGUMENTS = {
     "robots": ("2", "How many robots."),
     "world": ("mars", "World of the simulators: mars, office or cave."),
     "seed": ("1", "Seed of the world."),
+    "board": ("true", "Whether there is a board; false: tags on the robots join their maps."),
     "size": ("0", "Edge length of the world [m]; 0 for its usual size."),
     "voxel_size": ("0.05", "Edge length of a voxel [m]."),
     "known_fraction": (str(TASK.known_fraction), "Share of the surface that must be known."),
@@ -35,12 +36,14 @@ def generate_launch_description() -> LaunchDescription:
 
 def _processes(given: dict[str, str]) -> list:
     seed, size = int(given["seed"]), float(given["size"])
-    world = demo_world(given["world"], seed, size)
+    has_board = given["board"].lower() == "true"
+    world = demo_world(given["world"], seed, size, has_board=has_board)
     names, processes = robot_names(int(given["robots"])), []
-    for number, start in enumerate(team_starts(world, len(names))):
+    starts = team_starts(world, len(names), ABREAST if has_board else APART)
+    for number, start in enumerate(starts):
         folder = Path(given["out"]).absolute() / names[number]
         folder.mkdir(parents=True, exist_ok=True)
-        nodes = member_parameters(names, number, start, folder)
+        nodes = member_parameters(names, number, start, folder, has_board=has_board)
         nodes["simulator"] |= {"world": given["world"], "world_seed": seed, "world_size": size}
         nodes["map_fusion"]["voxel_size"] = float(given["voxel_size"])
         limits = {
@@ -48,7 +51,7 @@ def _processes(given: dict[str, str]) -> list:
             "known_fraction": float(given["known_fraction"]),
         }
         for name in ("next_best_view", "explorer"):
-            nodes[name] |= task_parameters(world, limits)
+            nodes[name] |= task_parameters(world, limits, () if has_board else starts)
         usual = {name: default for name, (default, _) in ROBOT_ARGUMENTS.items()}
         identity = {"namespace": names[number], "robot_id": str(number + 1)}
         robot = RobotLaunch({**usual, **given, **identity}, simulated=True)

@@ -6,6 +6,7 @@ import ast
 import contextlib
 import dataclasses
 import json
+import os
 import resource
 import signal
 from collections.abc import Callable, Iterator
@@ -17,8 +18,9 @@ from matplotlib.figure import Figure
 from typer.testing import CliRunner
 
 import infomap_ros
-from infomap_ros.cli.late_commands import new_app
-from infomap_ros.cli.show_command import draw_depth_image
+from infomap_ros.cli.app import new_app
+from infomap_ros.cli.localize_command import write_covariances, write_tum
+from infomap_ros.cli.map_file_commands import draw_depth_image
 from infomap_ros.cli.tags_command import tags
 from infomap_ros.errors import InfomapError
 from infomap_ros.exploration.mission import Mission
@@ -32,11 +34,10 @@ from infomap_ros.mapping.files.export import write_distances, write_grid, write_
 from infomap_ros.mapping.files.octomap_file import write_bt, write_ot
 from infomap_ros.mapping.files.pictures import draw_map_views
 from infomap_ros.nodes.live.live_graph import NodeProcesses
-from infomap_ros.replay.localizing.localize_files import write_covariances, write_tum
-from infomap_ros.replay.localizing.localize_run import Trajectory
+from infomap_ros.replay.localize_run import Trajectory
 from infomap_ros.simulation.body.saved_robot import SavedRobot
-from infomap_ros.studies.common.figure_style import save
-from infomap_ros.studies.common.runs import Kept, write_rows
+from infomap_ros.studies.figure_style import save
+from infomap_ros.studies.runs import Kept, write_rows
 
 ROOT = Path(infomap_ros.__file__).parent
 PRECIOUS = b"what somebody else has"
@@ -170,6 +171,16 @@ def test_a_log_of_a_run_that_was_interrupted_is_added_to(tmp_path: Path) -> None
     RunLogFile(path, append=True).write("message", text="two")
     lines = path.read_text().splitlines()
     assert [json.loads(lines[k])["text"] for k in (0, 2)] == ["one", "two"]
+
+
+def test_a_log_is_not_continued_in_a_pipe(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "run.jsonl")
+    with pytest.raises(OSError, match="No such device"):  # nobody reads it
+        RunLogFile(tmp_path / "run.jsonl", append=True)
+    reader = os.open(tmp_path / "run.jsonl", os.O_RDONLY | os.O_NONBLOCK)
+    with pytest.raises(OSError, match="pipe"):
+        RunLogFile(tmp_path / "run.jsonl", append=True)
+    os.close(reader)
 
 
 def test_the_log_of_a_node_goes_through_no_link(tmp_path: Path) -> None:

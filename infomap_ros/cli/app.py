@@ -4,17 +4,73 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Callable, Mapping
+from importlib import import_module
+from typing import Any, NamedTuple
 
 import typer
 
 from infomap_ros import __version__
-from infomap_ros.cli.late_commands import (
-    PASSED_ON,
-    LateCommand,
-    add_commands,
-    new_app,
-)
 from infomap_ros.errors import InfomapError
+
+PASSED_ON = {
+    "allow_extra_args": True,
+    "ignore_unknown_options": True,
+    "help_option_names": [],  # --help is the other command's
+}
+"""Context settings of a command that hands all its arguments to another one."""
+_HELPS = {"help_option_names": ["-h", "--help"]}
+
+
+class LateCommand(NamedTuple):
+    """A command, or a group of them, that is loaded when it is called.
+
+    Attributes:
+        place: ``module:name`` of a function that typer can make a command of, or of a group.
+        help: what the list of commands says: the first line of its docstring, or of the group.
+        example: a command line that its help ends with; empty for a group.
+    """
+
+    place: str
+    help: str
+    example: str = ""
+
+    def load(self) -> Any:
+        """The function or group."""
+        module, name = self.place.split(":")
+        return getattr(import_module(module), name)
+
+
+def add_commands(app: typer.Typer, commands: Mapping[str, LateCommand]) -> None:
+    """Add commands by their names to an application."""
+    for name, command in commands.items():
+        app.command(name, help=command.help, context_settings=PASSED_ON)(_passing_on(command))
+
+
+def new_app(help: str, has_completion: bool = False) -> typer.Typer:
+    """An application in the manner of all of the package's."""
+    return typer.Typer(
+        help=help,
+        no_args_is_help=True,
+        pretty_exceptions_enable=False,
+        rich_markup_mode="markdown",  # leaves the brackets of units alone
+        add_completion=has_completion,
+        context_settings=_HELPS,
+    )
+
+
+def _passing_on(command: LateCommand) -> Callable[[typer.Context], None]:
+    def pass_on(context: typer.Context) -> None:
+        loaded = command.load()
+        app = loaded
+        if not isinstance(loaded, typer.Typer):
+            app = new_app(command.help)
+            example = f"Example: `{command.example}`"
+            app.command(context_settings=_HELPS, epilog=example)(loaded)
+        app(context.args, prog_name=context.command_path)
+
+    return pass_on
+
 
 COMMANDS = {
     "map": LateCommand(
@@ -43,17 +99,22 @@ COMMANDS = {
         "infomap report out/random out/largest_information --out comparison.html",
     ),
     "show": LateCommand(
-        "infomap_ros.cli.show_command:show",
+        "infomap_ros.cli.map_file_commands:show",
         "Print what a map file holds, and draw it.",
         "infomap show out/rocks/map.infomap --out rocks.png",
     ),
     "merge": LateCommand(
-        "infomap_ros.cli.merge_command:merge",
+        "infomap_ros.cli.map_file_commands:merge",
         "Join maps of several sessions or robots that are in one frame.",
         "infomap merge monday.infomap tuesday.infomap --out both.infomap",
     ),
+    "changes": LateCommand(
+        "infomap_ros.cli.map_file_commands:changes",
+        "Say what appeared and what vanished between two maps of one place.",
+        "infomap changes monday.infomap tuesday.infomap --out changed.ply",
+    ),
     "export": LateCommand(
-        "infomap_ros.cli.export_command:export",
+        "infomap_ros.cli.map_file_commands:export",
         "Write a map file in a format of other programs.",
         "infomap export out/rocks/map.infomap --format bt --out rocks.bt",
     ),
@@ -68,7 +129,7 @@ COMMANDS = {
         "infomap tags photos/*.jpg --family tag36h11 --out out/tags",
     ),
     "draw-target": LateCommand(
-        "infomap_ros.cli.draw_target_command:draw_target",
+        "infomap_ros.cli.tags_command:draw_target",
         "Draw a board of tags in true scale, and print the matching detector settings.",
         "infomap draw-target --columns 3 --rows 2 --side 0.08 --out board.pdf",
     ),
@@ -116,7 +177,7 @@ def record_demo_bag(context: typer.Context) -> None:
 def doctor(context: typer.Context) -> None:
     """Diagnose a running ROS system: missing topics, frames, calibration."""
     try:
-        from infomap_ros.nodes.diagnosis.doctor import main as examine
+        from infomap_ros.nodes.doctor import main as examine
     except ModuleNotFoundError as error:
         raise InfomapError(f"the doctor needs ROS 2, and there is no {error.name}") from error
     raise typer.Exit(examine(context.args))

@@ -92,10 +92,11 @@ def _replaced(config: Any, values: Mapping[str, Any]) -> Any:
 
 
 def all_settings(options: Any) -> dict[str, tuple[Any, ParameterInfo]]:
-    """All settings of an options object: dotted name -> (default, info), in order."""
+    """All settings of an options object: dotted name -> (default, info), its own first."""
+    own = type(options).__annotations__
     return {
         f"{field.name}.{name}": entry
-        for field in dataclasses.fields(options)
+        for field in sorted(dataclasses.fields(options), key=lambda field: field.name not in own)
         if dataclasses.is_dataclass(getattr(options, field.name))
         for name, entry in all_parameters(getattr(options, field.name)).items()
     }
@@ -198,8 +199,8 @@ def takes_topics(*names: str) -> Callable[[Callable[..., None]], Callable[..., N
 
         @wraps(command)
         def run(**given: Any) -> None:
-            told = {name.removesuffix("_topic"): given.pop(name) for name in names}
-            command(**given, topics=told)
+            topics = {name.removesuffix("_topic"): given.pop(name) for name in names}
+            command(**given, topics=topics)
 
         run.__annotations__ = {p.name: p.annotation for p in (*own, *topics)}
         run.__dict__["__signature__"] = inspect.Signature([*own, *topics])

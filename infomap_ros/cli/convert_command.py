@@ -28,7 +28,7 @@ def convert(
     color: Annotated[str, typer.Option(help="folder or pattern of the color images")] = "",
     stamps: Annotated[
         Optional[Path],
-        typer.Option(help="file of times, or of times and names; else the images' names tell"),
+        typer.Option(help="file of times, or of times and names; else those in the images' names"),
     ] = None,
     rate: Annotated[
         float, typer.Option(help="of frames that are only numbered [Hz]")

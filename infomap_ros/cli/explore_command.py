@@ -28,7 +28,7 @@ from infomap_ros.mapping.files.pictures import draw_map_views
 from infomap_ros.simulation.exploring.exploration_run import ExplorationOptions, ExplorationRun
 from infomap_ros.simulation.robots.robot_file import RobotFile
 from infomap_ros.viewer import LivePage
-from infomap_ros.viewer.exploration_display import ExplorationDisplay
+from infomap_ros.viewer.displays import ExplorationDisplay
 
 
 class RunProgress:
@@ -148,7 +148,7 @@ def _explore(options: ExplorationOptions, out: Path, page: LivePage | None) -> N
     console = Console(stderr=True)
     with RunProgress(console) as progress, says_when_it_compiles(console):
         watchers: list[Watcher] = [progress.show]
-        run = _run_of(options, out, lambda entry: _tell(watchers, entry))
+        run = _run_of(options, out, lambda entry: _notify(watchers, entry))
         for part in (*run.simulator.mended, *filter(None, [run.simulator.world.note])):
             console.print(f"infomap: {part}", markup=False)
         if page is not None:
@@ -179,8 +179,8 @@ def _explore(options: ExplorationOptions, out: Path, page: LivePage | None) -> N
         raise typer.Exit(INTERRUPTED)
 
 
-def _tell(watchers: Sequence[Watcher], entry: Mapping[str, Any]) -> None:
-    """Tell all who watch the run of an entry of its log."""
+def _notify(watchers: Sequence[Watcher], entry: Mapping[str, Any]) -> None:
+    """Notify all who watch the run of an entry of its log."""
     for watch in watchers:
         watch(entry)
 

@@ -31,13 +31,13 @@ from infomap_ros.cli.results import (
     say_results,
 )
 from infomap_ros.errors import BagError, CapacityError, InvalidInputError
+from infomap_ros.replay.map_files import FILES, write_map_files
+from infomap_ros.replay.map_inputs import MapOptions
+from infomap_ros.replay.map_run import MapRun, Progress
 from infomap_ros.replay.mapped_bag import Recording, open_recording
-from infomap_ros.replay.mapping.map_files import FILES, write_map_files
-from infomap_ros.replay.mapping.map_inputs import MapOptions
-from infomap_ros.replay.mapping.map_run import MapRun, Progress
 from infomap_ros.studies.survey import map_survey, parts_of
 from infomap_ros.viewer import LivePage
-from infomap_ros.viewer.scan_display import ScanDisplay
+from infomap_ros.viewer.displays import ScanDisplay
 
 _DEFAULTS = MapOptions()
 _USUAL = _DEFAULTS.map

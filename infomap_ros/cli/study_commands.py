@@ -6,16 +6,16 @@ exits with 1 when it does not find what is claimed.
 
 from __future__ import annotations
 
-from infomap_ros.cli.late_commands import LateCommand, add_commands, new_app
+from infomap_ros.cli.app import LateCommand, add_commands, new_app
 
 _HERE = "infomap_ros.cli"
 COMMANDS = {
     "drift": LateCommand(
-        f"{_HERE}.study_localization:drift",
+        f"{_HERE}.study_consistency:drift",
         "How far the position drifts by scene fiducials alone (Fig. 15), by three methods.",
     ),
     "pose-consistency": LateCommand(
-        f"{_HERE}.study_localization:pose_consistency",
+        f"{_HERE}.study_consistency:pose_consistency",
         "Are the poses as sure as they should be? Their errors against their own covariances.",
     ),
     "planar": LateCommand(

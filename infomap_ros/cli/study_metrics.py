@@ -20,8 +20,7 @@ from infomap_ros.cli.study_options import (
 )
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap
-from infomap_ros.studies.common.runs import Kept, run_all, write_lines, write_rows
-from infomap_ros.studies.metrics.metrics_study import (
+from infomap_ros.studies.metrics_study import (
     MetricRun,
     MetricsStudyConfig,
     Results,
@@ -32,8 +31,9 @@ from infomap_ros.studies.metrics.metrics_study import (
     summary,
     tasks_of,
 )
-from infomap_ros.studies.metrics.published_metrics import EVERY_METRIC
 from infomap_ros.studies.planar.world import PlanarWorld, SensorConfig, level_pose, take_scan
+from infomap_ros.studies.published_metrics import EVERY_METRIC
+from infomap_ros.studies.runs import Kept, run_all, write_lines, write_rows
 from infomap_ros.views.information.view_information import Metric, expected_information
 from infomap_ros.views.information.view_query import InformationConfig
 
@@ -109,7 +109,7 @@ def metrics(
 
     What is done is kept in OUT/runs, and not done again when the command is repeated.
     """
-    from infomap_ros.studies.metrics.metrics_study import draw_curves, draw_unknown
+    from infomap_ros.studies.metrics_study import draw_curves, draw_unknown
 
     with refusals():
         config = MetricsStudyConfig(worlds=worlds, seed=seed)

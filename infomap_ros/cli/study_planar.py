@@ -24,8 +24,7 @@ from infomap_ros.cli.study_options import (
 )
 from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.studies.common.figure_style import Band, band, ratio_band
-from infomap_ros.studies.common.runs import markdown, write_rows
+from infomap_ros.studies.figure_style import Band, band, ratio_band
 from infomap_ros.studies.planar import report
 from infomap_ros.studies.planar.planar_study import (
     BASELINES,
@@ -36,10 +35,10 @@ from infomap_ros.studies.planar.planar_study import (
     tasks_of,
     team_tasks,
 )
-from infomap_ros.studies.planar.study_config import distance_to
-from infomap_ros.studies.planar.tasks import Record, label_of, run_tasks
+from infomap_ros.studies.planar.tasks import Record, distance_to, label_of, run_tasks
+from infomap_ros.studies.runs import markdown, write_rows
 
-# How the baselines stand to each other: ways to growing shares of a world, paired by world.
+# How the baselines stand to each other: distances to growing shares of a world, paired by world.
 #
 # Their authors publish seconds of rotorcraft in buildings, which a sensor in a plane does not have;
 # what they say of each other can be compared.
@@ -49,11 +48,11 @@ _LEAST_WORLDS = 3  # that a band is told for
 
 
 def relations(records: Sequence[Record], share: float) -> str:
-    """Ways of each baseline over those of each other one, as a Markdown table.
+    """Distances of each baseline over those of each other one, as a Markdown table.
 
     Args:
         records: of worlds that all strategies have explored.
-        share: of a world to which ways are compared last.
+        share: of a world to which distances are compared last.
 
     Returns:
         Geometric means over the worlds in which both came so far; "" where there are no baselines.
@@ -64,7 +63,7 @@ def relations(records: Sequence[Record], share: float) -> str:
     shares = (*_SHARES, share)
     names = ["distance of", "over that of", "worlds", *(f"to {100 * s:g} %" for s in shares)]
     lines = [
-        [other, first, kind, *(_text(way_ratio(records, other, first, s, kind)) for s in shares)]
+        [other, first, kind, *(_text(length_ratio(records, other, first, s, kind)) for s in shares)]
         for first, other in combinations(labels, 2)
         for kind in kinds
     ]
@@ -72,10 +71,10 @@ def relations(records: Sequence[Record], share: float) -> str:
     return f"{markdown(names, lines)}\n{note}\n" if lines else ""
 
 
-def way_ratio(
+def length_ratio(
     records: Sequence[Record], own: str, other: str, share: float, kind: str = "all"
 ) -> Band:
-    """Way of one strategy to a share of the world over that of another.
+    """Distance of one strategy to a share of the world over that of another.
 
     Args:
         records: of both, in the same order of worlds.
@@ -87,12 +86,12 @@ def way_ratio(
     Returns:
         The geometric mean over the worlds in which both came so far, and not by the first view.
     """
-    mine, theirs = (_ways(records, label, share, kind) for label in (own, other))
+    mine, theirs = (_distances(records, label, share, kind) for label in (own, other))
     both = np.isfinite(mine) & np.isfinite(theirs) & (mine > 0.0) & (theirs > 0.0)
     return ratio_band(mine[both], theirs[both]) if both.any() else band(np.empty(0))
 
 
-def _ways(records: Sequence[Record], label: str, share: float, kind: str) -> FloatArray:
+def _distances(records: Sequence[Record], label: str, share: float, kind: str) -> FloatArray:
     results = [
         record.result
         for record in records

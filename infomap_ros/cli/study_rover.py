@@ -19,9 +19,8 @@ from infomap_ros.cli.study_options import (
     refusals,
     workers,
 )
-from infomap_ros.studies.common.runs import Kept, run_all, write_lines, write_rows
-from infomap_ros.studies.rover.explore import RoverExploration
-from infomap_ros.studies.rover.rover_study import (
+from infomap_ros.studies.rover_exploration import RoverExploration
+from infomap_ros.studies.rover_study import (
     Results,
     RoverStudyConfig,
     complete,
@@ -31,6 +30,7 @@ from infomap_ros.studies.rover.rover_study import (
     summary,
     tasks_of,
 )
+from infomap_ros.studies.runs import Kept, run_all, write_lines, write_rows
 
 
 def rover(
@@ -52,7 +52,7 @@ def rover(
 
     What is done is kept in OUT/runs, and not done again when the command is repeated.
     """
-    from infomap_ros.studies.rover.rover_study import all_figures
+    from infomap_ros.studies.rover_study import all_figures
 
     with refusals():
         config = RoverStudyConfig(

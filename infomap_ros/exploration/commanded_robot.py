@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import ClassVar, Protocol
+from typing import Protocol
 
 import numpy as np
 
 from infomap_ros.errors import PoseUnavailableError
 from infomap_ros.exploration.robot import Interrupted, Motion, RobotState, planar_pose
-from infomap_ros.geometry.config import check_config, parameter, setting
+from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.motion.arm.controller_trajectories import stopping_path
 from infomap_ros.motion.route import ArmPath
@@ -28,10 +28,6 @@ class CommandedRobotConfig:
     position_tolerance: float = parameter(
         0.12, "The base has arrived when it rests so near the end of its path.", unit="m", low=0.001
     )
-    heading_tolerance: ClassVar[float] = 0.2
-    """The base has arrived when its heading is so near the wanted one [rad]."""
-    joint_tolerance: ClassVar[float] = 0.03
-    """The arm has arrived when every joint is so near its goal [rad or m]."""
     progress_timeout: float = parameter(
         15.0,
         "A motion has failed when nothing has moved for so long, and a look when no scan has been "
@@ -40,17 +36,14 @@ class CommandedRobotConfig:
         low=0.5,
         high=600.0,
     )
-    scans_per_view: int = setting(
-        2,
-        "Stereo pairs that are fused at each view: one look rarely makes a voxel free.",
-        low=1,
-        high=100,
-    )
 
     def __post_init__(self) -> None:
         check_config(self)
 
 
+_HEADING_TOLERANCE = 0.2  # the base has arrived when its heading is so near the wanted one [rad]
+_JOINT_TOLERANCE = 0.03  # the arm has arrived when every joint is so near its goal [rad or m]
+_SCANS_PER_VIEW = 2  # pairs fused at each view: one look rarely makes a voxel free
 _STILL = 0.02  # [m or rad, or each in a second]; what moves less stands: poses are noisy
 
 
@@ -84,8 +77,8 @@ class RobotLink(Protocol):
         """Have the arm move, beginning now; returns the name of the motion."""
 
     @property
-    def tells_results(self) -> bool:
-        """Whether what moves the robot tells what becomes of motions."""
+    def reports_results(self) -> bool:
+        """Whether what moves the robot reports results of motions."""
 
     def result(self, motion: str) -> str | None:
         """What became of a motion: empty where it succeeded, else why not; None as yet."""
@@ -133,7 +126,7 @@ class CommandedRobot:
     def look(self, interrupted: Interrupted) -> str:
         """Wait until scans taken from here have been fused, for as long as one after one is."""
         fused = self._link.fused_scans
-        wanted = fused + self._config.scans_per_view + 1  # one may be from before
+        wanted = fused + _SCANS_PER_VIEW + 1  # one may be from before
 
         def more() -> bool:
             return self._link.fused_scans > fused
@@ -147,7 +140,7 @@ class CommandedRobot:
     def move_arm(self, path: ArmPath, interrupted: Interrupted) -> Motion:
         """Send the path and wait for its result, or until the joints are where it ends."""
         goal = dict(zip(path.joint_names, path.positions[-1], strict=True))
-        motion, tolerance = self._link.send_arm_path(path), self._config.joint_tolerance
+        motion, tolerance = self._link.send_arm_path(path), _JOINT_TOLERANCE
         end = self._finish(motion, lambda: self._farthest(goal)[1] <= tolerance, interrupted)
         if end is not None:
             return Motion(end)
@@ -164,7 +157,7 @@ class CommandedRobot:
             traveled.append(self.place())
             left, turn = _away(traveled[-1], poses[-1])
             near = left <= self._config.position_tolerance
-            there = near and turn <= self._config.heading_tolerance
+            there = near and turn <= _HEADING_TOLERANCE
             return there and self._link.base_speed() <= _STILL
 
         end = self._finish(motion, arrived, interrupted)
@@ -198,29 +191,29 @@ class CommandedRobot:
 
         Args:
             motion: its name.
-            arrived: whether it looks as if it were done, where nobody tells.
+            arrived: whether it looks as if it were done, where nobody reports.
             interrupted: breaks it off.
 
         Returns:
-            Empty where it is done, else what is told of its failure; None where nothing is told,
+            Empty where it is done, else the reported failure; None where nothing is reported,
             and the robot has to be stopped.
         """
-        link, is_told = self._link, self._link.tells_results
+        link, is_reported = self._link, self._link.reports_results
 
         def ended() -> bool:
-            if is_told:
-                return link.result(motion) is not None or not link.tells_results
+            if is_reported:
+                return link.result(motion) is not None or not link.reports_results
             return arrived()
 
         while True:
             moved = partial(self._has_left, self._whereabouts())
             goes_on = self._wait(_either(ended, moved), interrupted)
             has_arrived = arrived()  # notes the path, too
-            if (told := link.result(motion)) is not None:
-                return told
-            if is_told and not link.tells_results:
+            if (failure := link.result(motion)) is not None:
+                return failure
+            if is_reported and not link.reports_results:
                 return "what moves the robot has gone"
-            if has_arrived and not is_told:
+            if has_arrived and not is_reported:
                 return ""
             if not goes_on:
                 return None

@@ -13,7 +13,7 @@ from infomap_ros.localization.filter.config import Fiducials
 from infomap_ros.localization.prediction.error_prediction import (
     ErrorPrediction,
     ErrorPredictionConfig,
-    Ways,
+    Paths,
 )
 from infomap_ros.views.ranking.terms import OdometryDrift
 from infomap_ros.views.situation import Situation
@@ -60,7 +60,7 @@ class FiducialLocalizationError:
         Args:
             situation: pose, covariance and map now.
             poses: ``T_map_camera``, shape (M, 4, 4).
-            lengths: of the ways there, shape (M,) [m].
+            lengths: of the paths there, shape (M,) [m].
         """
         known = self._known_in(situation)
         if known is None:
@@ -68,7 +68,7 @@ class FiducialLocalizationError:
         after = self._prediction.predict(
             situation.T_map_camera,
             situation.pose_covariance,
-            Ways(poses, lengths),
+            Paths(poses, lengths),
             (known.positions, known.covariances),
             self._new,
             situation.voxel_map,

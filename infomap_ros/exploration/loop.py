@@ -27,7 +27,7 @@ from infomap_ros.exploration.robot import (
     Planner,
     Robot,
     RobotState,
-    way_length,
+    path_length,
 )
 from infomap_ros.exploration.rules import (
     STOPPED,
@@ -68,7 +68,8 @@ class Exploration:
         mission: account of a mission that goes on; a new one where not given.
         plan_only: choose again and again, and move nothing.
         on_step: called after each step, for example to save the mission and report the status.
-        clock: seconds; only differences count.
+        clock: seconds of the time in which the robot moves; only differences from the first step on
+            count, as a simulator's time may begin late.
 
     Attributes:
         state: what it is doing, in words.
@@ -94,7 +95,8 @@ class Exploration:
         self.state, self.last_reason = "starting", ""
         self.progress: MapProgress | None = None
         self._robot, self._planner, self._log = robot, planner, log
-        self._on_step, self._clock, self._marked = on_step, clock, clock()
+        self._on_step, self._clock = on_step, clock
+        self._marked: float | None = None
         self._mover = CameraMover(robot, planner, task, self.mission, log, self._step)
         self._failures, self._teammates = TooManyFailures(task.max_failures), WaitForTeammates()
         self._unproductive, self._return = UnproductiveViews(task), ReturnToLastView(self.mission)
@@ -232,7 +234,7 @@ class Exploration:
 
     def go_to(self, place: KnownPlace, interrupted: Interrupted) -> str:
         """Go to where the robot has stood; returns empty, or why it did not get there."""
-        choice = self._planner.way_to(self._robot.state(), place)
+        choice = self._planner.route_to(self._robot.state(), place)
         problem, route = choice.reason, choice.route
         if route is not None:
             watch = self._watch(interrupted)
@@ -253,7 +255,7 @@ class Exploration:
 
     def _step(self) -> None:
         now = self._clock()
-        self.mission.seconds += now - self._marked
+        self.mission.seconds += 0.0 if self._marked is None else max(now - self._marked, 0.0)
         self._marked = now
         self._on_step(self)
 
@@ -284,12 +286,14 @@ class MotionWatch:
 
     def __call__(self) -> bool:
         """Whether the motion is to be broken off."""
+        if self._interrupted():  # where the robot is may not be known any more
+            return True
         if not self.reason and _base_sigma(self._robot.state()) > self._most:
             self.reason = "where the robot is has become too uncertain"
         if not self.reason:
             self.reason = self._planner.route_problem(self._robot.state())
             self.rejects_view = bool(self.reason)
-        return bool(self.reason) or self._interrupted()
+        return bool(self.reason)
 
 
 def _base_sigma(state: RobotState) -> float:
@@ -305,7 +309,7 @@ class CameraMover:
 
     Args:
         robot: that moves.
-        planner: plans the rest of the way from where the base has come to stand.
+        planner: plans the rest of the route from where the base has come to stand.
         task: how near the camera must come to a view.
         mission: whose distance grows.
         log: receives every motion.
@@ -338,7 +342,7 @@ class CameraMover:
     def bring_camera(self, route: Route, view: FloatArray, interrupted: Interrupted) -> str:
         """Follow a route until the camera is within the task's tolerances of a view.
 
-        The base may stop beside the end of its path: the rest of the way is planned, and checked
+        The base may stop beside the end of its path: the rest of the route is planned, and checked
         for collisions, from where it really stands. Where the camera cannot be brought within the
         tolerances, `miss` and the log say why and how far off it is, and it stays as near as it
         came.
@@ -385,7 +389,7 @@ class CameraMover:
         if problem or not route.moves_base:
             return problem
         motion = self._robot.drive(route.base_path, interrupted)
-        self._mission.distance += way_length(motion.path)
+        self._mission.distance += path_length(motion.path)
         return self._note("drive", motion)
 
     def _move_arm(self, path: ArmPath, interrupted: Interrupted) -> str:

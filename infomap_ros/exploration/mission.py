@@ -5,14 +5,15 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from infomap_ros.errors import InvalidInputError, MissionFileError
 from infomap_ros.exploration.robot import KnownPlace, RobotState, planar_pose
-from infomap_ros.geometry import check_transform
+from infomap_ros.geometry import check_transform, make_transform
 from infomap_ros.geometry.atomic_file import MALFORMED, write_json
 from infomap_ros.geometry.transforms import (
     FloatArray,
@@ -30,7 +31,7 @@ class Mission:
 
     Attributes:
         views: taken so far.
-        distance: way of the base so far [m].
+        distance: distance driven so far [m].
         seconds: spent so far [s].
         home: where it began.
         last_look: where the last look succeeded.
@@ -60,6 +61,21 @@ class Mission:
         if len(self.looks) < self.views:
             numbers = (*T_map_camera[:3, 3], *quaternion_from_transform(T_map_camera))
             self.looks.append([round(float(number), 6) for number in numbers])
+
+    def move(self, T_new_old: FloatArray) -> None:
+        """Put all places into the frame to which the map was moved, shape (4, 4)."""
+        self.home, self.last_look = (
+            replace(place, base=planar_pose(T_new_old @ _pose_at(place.base)))
+            if place.is_known
+            else place
+            for place in (self.home, self.last_look)
+        )
+        if self.home_pose:
+            self.home_pose = (T_new_old @ np.array(self.home_pose)).tolist()
+        self.looks = [
+            [*map(float, (*pose[:3, 3], *quaternion_from_transform(pose)))]
+            for pose in T_new_old @ look_poses(self.looks)
+        ]
 
     def save(self, path: Path) -> None:
         """Write the account, atomically.
@@ -128,6 +144,12 @@ def read_place(kind: KnownPlace, base: Sequence[float], joints: Mapping[str, flo
     if not all(map(math.isfinite, (*place.base, *place.joints.values()))):
         raise ValueError(f"{kind.name} is not finite")
     return place
+
+
+def _pose_at(base: Sequence[float]) -> FloatArray:
+    """Level pose of a base at (x, y, yaw), shape (4, 4)."""
+    x, y, yaw = base
+    return make_transform(Rotation.from_euler("z", yaw).as_matrix(), (x, y, 0.0))
 
 
 def _place_of(kind: KnownPlace, state: RobotState) -> KnownPlace:

@@ -127,7 +127,7 @@ def count_surface(
 def faces(
     states: NDArray[np.uint8], start: NDArray[np.int64]
 ) -> Iterator[tuple[FloatArray, _Mask, _Mask]]:
-    """By the side on which free space lies: the way to it, surface, and where surface goes on."""
+    """By the side of the free space: the direction to it, surface, and where surface goes on."""
     occupied, unknown = states == OCCUPIED, states == UNKNOWN
     free = (states == FREE) & _component(~occupied, start)
     for axis in range(3):

@@ -1,6 +1,6 @@
 """What the exploration asks of a robot and of what chooses the views.
 
-Poses and ways of a base, seen from above.
+Poses and paths of a base, seen from above.
 """
 
 from __future__ import annotations
@@ -157,16 +157,16 @@ class FailedView:
 
 
 class Planner(Protocol):
-    """Chooses the next best view and the way there. Every call is bounded in time."""
+    """Chooses the next best view and the route there. Every call is bounded in time."""
 
     def choose(self, state: RobotState) -> Choice:
         """The next best view from `state`."""
 
-    def way_to(self, state: RobotState, place: KnownPlace) -> Choice:
-        """The way to where the robot has stood, as it stood there."""
+    def route_to(self, state: RobotState, place: KnownPlace) -> Choice:
+        """The route to where the robot has stood, as it stood there."""
 
     def plan_arm(self, state: RobotState, T_map_camera: FloatArray) -> Choice:
-        """The rest of the way to a view, from where the base has come to stand.
+        """The rest of the route to a view, from where the base has come to stand.
 
         Args:
             state: where the robot is now.
@@ -191,14 +191,14 @@ def planar_pose(T_map_base: FloatArray) -> tuple[float, float, float]:
     return float(T_map_base[0, 3]), float(T_map_base[1, 3]), yaw
 
 
-def way_length(path: ArrayLike) -> float:
-    """Length of a way through points, shape (n, 3) [m]."""
+def path_length(path: ArrayLike) -> float:
+    """Length of a path through points, shape (n, 3) [m]."""
     points = np.asarray(path, dtype=np.float64)
     return float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum()) if len(points) > 1 else 0.0
 
 
 def spaced(places: FloatArray, spacing: float, length: float = np.inf) -> FloatArray:
-    """The first part of a way through places, (K, 2) [m], by points at most `spacing` [m] apart."""
+    """First part of a path through places, (K, 2) [m], by points at most `spacing` [m] apart."""
     steps = np.linalg.norm(np.diff(places, axis=0), axis=1)
     along = np.concatenate([[0.0], np.cumsum(steps)])
     end = min(float(along[-1]), length)

@@ -248,9 +248,9 @@ class UnproductiveViews(StopRule):
 
     What counts is how fast the entropy of the region falls, and the share of its surface rises that
     is known precisely enough, over a few views together, each against its best such rate: most of
-    what a place tells is told early, and views that fill in the rest, a tenth of a percent after
-    the other, could go on for hours. A map that becomes less certain, as by a correction, takes
-    nothing from what other views have brought.
+    what is to be seen in a place is seen early, and views that fill in the rest, a tenth of a
+    percent after the other, could go on for hours. A map that becomes less certain, as by a
+    correction, takes nothing from what other views have brought.
 
     Args:
         task: what is asked for.
@@ -283,8 +283,8 @@ class UnproductiveViews(StopRule):
             return ""
         bits, surface, _ = np.sum(self._brought[-count:], axis=0)
         return (
-            f"the last {count} views told {bits:.0f} bits and made {100.0 * surface:.2f} % more of "
-            f"the surface known precisely, {100.0 * self._share(count):.1f} % of the best rate"
+            f"the last {count} views brought {bits:.0f} bits and made {100.0 * surface:.2f} % more "
+            f"of the surface known precisely, {100.0 * self._share(count):.1f} % of the best rate"
         )
 
     def _rates(self, count: int) -> FloatArray:

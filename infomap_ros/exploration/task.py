@@ -94,7 +94,7 @@ class TaskConfig:
         high=1000,
     )
     min_rate: float = parameter(
-        0.02,
+        0.01,
         "Least rate at which views make the map more certain, or known precisely enough, as a "
         "share of the best rate that so many views one after the other have had.",
         low=0.0,

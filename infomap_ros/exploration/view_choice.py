@@ -41,7 +41,7 @@ class ViewChoice:
 
     Where none of the views that were tried can be reached, they are remembered and others are
     drawn. Where none is worth its cost although more is asked for, views are sought that close the
-    holes of the mapped surface; where there is none either, the way counts less.
+    holes of the mapped surface; where there is none either, the distance counts less.
 
     Args:
         config: of the choice.
@@ -81,7 +81,7 @@ class ViewChoice:
 
         Args:
             situation: what is known.
-            robot: asked for ways to views.
+            robot: asked for routes to views.
             rng: draws candidates.
             goal: ``T_map_camera`` that the robot is heading for, shape (4, 4).
             thorough: where no view is worth its cost, look for missing surface, then farther.
@@ -154,7 +154,7 @@ class _Attempts:
 
 
 def _from_afar(config: NextBestViewConfig, share: float) -> NextBestViewConfig:
-    """A choice for which the way, and what localization suffers on it, count by a share."""
+    """A choice for which the distance, and what localization suffers on it, count by a share."""
     rating = config.rating
     cheap = replace(
         rating,
@@ -187,7 +187,7 @@ class SurfaceCompletion(ExpectedInformation):
 
     The information of eq. (11) counts what views tell about volume. A strip of floor behind a
     table, or the underside of its top, is a sheet one voxel thick: a hundredth of what a view into
-    open unknown space tells, and not worth a meter of way by that measure, while the task asks for
+    open unknown space tells, not worth a meter of travel by that measure, while the task asks for
     surface. Here a view counts the voxels of missing surface that it is expected to show, and a
     full view is one that shows nothing but missing surface from half the camera's range.
 
@@ -236,13 +236,13 @@ class SurfaceCompletion(ExpectedInformation):
         if not len(self._places):
             return np.empty((0, 4, 4))
         about = rng.integers(len(self._places), size=_PROPOSED)
-        ways = _within_cone(self._normals[about], rng)
-        ways *= rng.uniform(_NEAREST, _FARTHEST, (_PROPOSED, 1))
+        offsets = _within_cone(self._normals[about], rng)
+        offsets *= rng.uniform(_NEAREST, _FARTHEST, (_PROPOSED, 1))
         poses = np.tile(np.eye(4), (_PROPOSED, 1, 1))
-        poses[:, :3, 3] = self._places[about] + ways
-        elevations = np.arctan2(-ways[:, 2], np.hypot(ways[:, 0], ways[:, 1]))
+        poses[:, :3, 3] = self._places[about] + offsets
+        elevations = np.arctan2(-offsets[:, 2], np.hypot(offsets[:, 0], offsets[:, 1]))
         elevations = np.clip(elevations, -_ELEVATION, _ELEVATION)
-        azimuths = np.arctan2(-ways[:, 1], -ways[:, 0])
+        azimuths = np.arctan2(-offsets[:, 1], -offsets[:, 0])
         poses[:, :3, :3] = look_rotations(azimuths, elevations)
         _, inside = surroundings.in_box(poses[:, :3, 3])
         return np.asarray(poses[inside])
@@ -296,16 +296,16 @@ def missing_surface(
         that they border on, shape (N, 3).
     """
     window = voxel_map.window(*np.asarray(region, dtype=np.float64))
-    states, ways = window.states(), list[FloatArray]()
+    states, directions = window.states(), list[FloatArray]()
     unseen = window.quanta == UNKNOWN_QUANTA
     places = [np.empty((0, 3), np.int64)]
-    for way, _, missing in faces(states, start_in(window, states, inside)):
-        about = np.where(way == 0.0, 2 * GOES_ON - 1, 1)
+    for direction, _, missing in faces(states, start_in(window, states, inside)):
+        about = np.where(direction == 0.0, 2 * GOES_ON - 1, 1)
         places.append(np.argwhere(unseen & ndimage.maximum_filter(missing, about)))
-        ways.append(np.tile(way, (len(places[-1]), 1)))
+        directions.append(np.tile(direction, (len(places[-1]), 1)))
     voxels, at = np.unique(np.concatenate(places), axis=0, return_inverse=True)
     normals = np.zeros((len(voxels), 3))
-    np.add.at(normals, np.ravel(at), np.concatenate(ways))
+    np.add.at(normals, np.ravel(at), np.concatenate(directions))
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1.0)
     return voxels + window.first, normals
 

@@ -118,12 +118,9 @@ class ViewMotion:
 
     def traversability(self, voxel_map: VoxelMap, state: RobotState) -> ProjectedGrid:
         """Where the base can stand, the arm in its posture for driving."""
-        reaching = self.config.reaching
         vehicle = self.whole(state).vehicle
-        reach = reaching.base.standing_reach
-        terrain = known_ground(
-            voxel_map, reaching.terrain, vehicle, state.T_map_base, self._start, reach
-        )
+        reach = self.config.reaching.base.standing_reach
+        terrain = known_ground(voxel_map, vehicle, state.T_map_base, self._start, reach)
         return traversability(with_keep_out(terrain, self._forbidden), vehicle)
 
     def send(self, voxel_map: VoxelMap, state: RobotState, route: Route | None) -> None:
@@ -155,15 +152,15 @@ class ViewMotion:
         """Note that the robot is not sent along the last route."""
         self._sent = self._check = None
 
-    def way_to(
+    def route_to(
         self,
         voxel_map: VoxelMap,
         state: RobotState,
         place: KnownPlace,
         obstacles: Sequence[Obstacle] = (),
     ) -> ReachResult:
-        """The way to where the robot has stood, or why there is none."""
-        result = self.reach(voxel_map, state, obstacles).way_to(place.base, place.joints)
+        """The route to where the robot has stood, or why there is none."""
+        result = self.reach(voxel_map, state, obstacles).route_to(place.base, place.joints)
         self.send(voxel_map, state, result.route)
         return result
 
@@ -174,7 +171,7 @@ class ViewMotion:
         T_map_camera: FloatArray,
         obstacles: Sequence[Obstacle] = (),
     ) -> ReachResult:
-        """The rest of the way to a view, from where the base has come to stand.
+        """The rest of the route to a view, from where the base has come to stand.
 
         A motion of the arm alone within the task's tolerances. Where that cannot be, once for each
         view, a short drive to where it can; else as near with the arm as can be. Where a doubtful

@@ -142,7 +142,7 @@ class ViewPlanner:
     def choose(
         self, voxel_map: VoxelMap, state: RobotState, around: Surrounding | None = None
     ) -> Choice:
-        """The next best view and the way there, or why there is none.
+        """The next best view and the route there, or why there is none.
 
         Args:
             voxel_map: what is known.
@@ -216,15 +216,15 @@ class ViewPlanner:
         promising = self._unproductive.without_them(situation.voxel_map)
         return replace(situation, promising=promising, kept_shares=np.array(self._kept.shares))
 
-    def way_to(
+    def route_to(
         self,
         voxel_map: VoxelMap,
         state: RobotState,
         place: KnownPlace,
         obstacles: Sequence[Obstacle] = (),
     ) -> Choice:
-        """The way to where the robot has stood, or why there is none."""
-        result = self.motion.way_to(voxel_map, state, place, obstacles)
+        """The route to where the robot has stood, or why there is none."""
+        result = self.motion.route_to(voxel_map, state, place, obstacles)
         pose = None if result.route is None else result.route.T_map_camera
         return Choice(self._progress(voxel_map, state), pose, result.route, result.reason)
 
@@ -235,7 +235,7 @@ class ViewPlanner:
         T_map_camera: FloatArray,
         obstacles: Sequence[Obstacle] = (),
     ) -> Choice:
-        """The rest of the way to a view, or as near as can be, from where the base stands."""
+        """The rest of the route to a view, or as near as can be, from where the base stands."""
         result = self.motion.plan_arm(voxel_map, state, T_map_camera, obstacles)
         pose = None if result.route is None else result.route.T_map_camera
         progress = self._measured or self._progress(voxel_map, state)

@@ -54,7 +54,7 @@ class ViewPlannerConfig:
     thorough: float = setting(
         0.3,
         "Where no view is worth its cost and the task is not met yet, views are sought that close "
-        "holes of the mapped surface, and then all others again: the way and the localization "
+        "holes of the mapped surface, and then all others again: the distance and the localization "
         "error on it count by this share only, and so does the least information of the former. 1 "
         "gives up at once.",
         low=0.0,

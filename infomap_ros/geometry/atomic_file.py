@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 _PARTIAL = ".saving"
+_NOT_A_FILE = "is a device, pipe or socket, not a file"
 _ATTEMPTS = 100  # to open a file before another process takes it for remains
 
 MALFORMED = LookupError, TypeError, ValueError, AttributeError, OverflowError, RecursionError
@@ -71,9 +72,13 @@ def save_figure(figure: Any, path: str | Path, dpi: float | None = None) -> None
 
 
 def appending(path: str | Path) -> BinaryIO:
-    """Open a file to add to its end; an OSError where it cannot be, or is a symbolic link."""
+    """Open a file to add to its end; an OSError where it is a symbolic link, or no regular file."""
     flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_NOFOLLOW
-    return os.fdopen(os.open(path, flags, 0o666), "ab")
+    file = os.fdopen(os.open(path, flags | os.O_NONBLOCK, 0o666), "ab")  # a pipe would wait
+    if stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+        return file
+    file.close()
+    raise OSError(errno.EINVAL, _NOT_A_FILE, str(path))
 
 
 def _check_replaceable(path: Path) -> None:
@@ -87,7 +92,7 @@ def _check_replaceable(path: Path) -> None:
         raise OSError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
     is_in_dev = path.parent.resolve() == Path("/dev")  # /dev/stdout leads to whatever it is sent to
     if is_in_dev or not stat.S_ISREG(mode):
-        raise OSError(errno.EINVAL, "is a device, pipe or socket, not a file", str(path))
+        raise OSError(errno.EINVAL, _NOT_A_FILE, str(path))
 
 
 def _begin(target: Path) -> tuple[Path, BinaryIO]:

@@ -15,7 +15,12 @@ from infomap_ros.errors import FrameError, PoseUnavailableError
 from infomap_ros.geometry.config import check_config, parameter, setting
 from infomap_ros.geometry.pose_uncertainty import PoseUncertainty
 from infomap_ros.geometry.records import PoseRecord, TransformRecord
-from infomap_ros.geometry.transforms import FloatArray, compose_poses, interpolate_transforms
+from infomap_ros.geometry.transforms import (
+    FloatArray,
+    compose_poses,
+    interpolate_transforms,
+    invert_transform,
+)
 
 _NANOSECONDS = 1_000_000_000
 
@@ -244,6 +249,13 @@ class TransformTree:
         if len(self._edges) > MOST_FRAMES:
             self._edges.popitem(last=False)
 
+    def others_have_jumped(self, stamp: int) -> None:
+        """Those who ask have jumped back to `stamp` [ns]: forget poses from far after it."""
+        latest = stamp + round(self._config.max_gap * _NANOSECONDS)
+        for edge in self._edges.values():
+            if isinstance(edge.place, PoseBuffer) and (edge.place.newest_stamp or 0) > latest:
+                edge.place.clear()
+
     def root_of(self, frame: str) -> str:
         """The topmost frame above `frame`.
 
@@ -277,6 +289,30 @@ class TransformTree:
         for child in chain[: chain.index(target)]:
             result = _compose(self._edge(child, stamp), result)
         return result
+
+    def between(self, target: str, source: str, stamp: int) -> FloatArray:
+        """Place of a frame in one of another branch; what moves above both does not matter.
+
+        Args:
+            target: the frame in which it is sought.
+            source: the frame that is sought.
+            stamp: [ns].
+
+        Returns:
+            ``T_target_source``, shape (4, 4).
+
+        Raises:
+            FrameError: no frame is above both.
+            PoseUnavailableError: an edge is not known at that time.
+        """
+        above = self._chain_above(target)
+        common = next((frame for frame in self._chain_above(source) if frame in above), None)
+        if common is None:
+            raise FrameError(f"tf does not connect '{source}' with '{target}'")
+        T_common_target, T_common_source = (
+            self.at(common, frame, stamp).transform for frame in (target, source)
+        )
+        return np.asarray(invert_transform(T_common_target) @ T_common_source)
 
     def _chain_above(self, frame: str) -> list[str]:
         chain = [frame]

@@ -24,7 +24,7 @@ from scipy.spatial.transform import Rotation
 from infomap_ros.geometry.transforms import FloatArray, check_covariance, check_transform, skew
 
 CORRELATION_LENGTH = 1.0
-"""Way over which the error of a pose decorrelates where nobody says how it does [m].
+"""Distance over which the error of a pose decorrelates where nobody says how it does [m].
 
 After about the distance to what it sees a camera is located by other surfaces than before.
 """
@@ -151,6 +151,6 @@ class MotionClock:
 
 def _separation(first: FloatArray, second: FloatArray) -> float:
     """How far two poses are apart, in correlation lengths."""
-    way = float(np.linalg.norm(second[:3, 3] - first[:3, 3]))
+    distance = float(np.linalg.norm(second[:3, 3] - first[:3, 3]))
     turn = float(Rotation.from_matrix(first[:3, :3].T @ second[:3, :3]).magnitude())
-    return way / CORRELATION_LENGTH + turn / CORRELATION_ANGLE
+    return distance / CORRELATION_LENGTH + turn / CORRELATION_ANGLE

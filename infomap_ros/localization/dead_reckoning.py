@@ -73,10 +73,10 @@ class DeadReckoningConfig:
     def __post_init__(self) -> None:
         check_config(self)
 
-    def step_covariance(self, way: float, turned: float) -> FloatArray:
+    def step_covariance(self, distance: float, turned: float) -> FloatArray:
         """What a step of odometry, [m] and [rad], adds to the pose's covariance, shape (6, 6)."""
-        position = self.position_per_meter**2 * way + self.position_per_radian**2 * turned
-        rotation = self.rotation_per_meter**2 * way + self.rotation_per_radian**2 * turned
+        position = self.position_per_meter**2 * distance + self.position_per_radian**2 * turned
+        rotation = self.rotation_per_meter**2 * distance + self.rotation_per_radian**2 * turned
         return np.diag([position] * 3 + [rotation] * 3)
 
     def kinematics_covariance(self) -> FloatArray:
@@ -90,7 +90,7 @@ class DeadReckoning:
 
     The covariance of odometry is taken over to the camera, which hangs on a lever, and that of the
     kinematics is added. Odometry without covariance (unknown, or all zero) gets one whose variances
-    grow in proportion to the way, as those of independent steps do.
+    grow in proportion to the distance, as those of independent steps do.
 
     Args:
         config: how far they are to be trusted.
@@ -159,9 +159,9 @@ class DeadReckoning:
     def _grow(self, before: FloatArray, after: FloatArray) -> None:
         """What one step adds to the covariance; an earlier heading error swings the position."""
         step = after[:3, 3] - before[:3, 3]
-        way = float(np.linalg.norm(step))
         turned = float(Rotation.from_matrix(before[:3, :3].T @ after[:3, :3]).magnitude())
-        self._grown = carry_covariance(self._grown, step) + self.config.step_covariance(way, turned)
+        added = self.config.step_covariance(float(np.linalg.norm(step)), turned)
+        self._grown = carry_covariance(self._grown, step) + added
 
 
 _UNKNOWN_TWIST = 1e6 * np.eye(6)  # [m^2/s^2, rad^2/s^2]: zero would be a velocity known exactly
@@ -195,44 +195,44 @@ def base_in_map(
     )
 
 
-def told_base(told: PoseRecord, T_map_base: FloatArray) -> FloatArray:
-    """The pose of the base that a user has told, shape (4, 4).
+def user_base(given: PoseRecord, T_map_base: FloatArray) -> FloatArray:
+    """The pose of the base that a user has given, shape (4, 4).
 
-    Who points at a plan, as in RViz, tells x, y and heading: then the variances of z, roll and
+    Who points at a plan, as in RViz, gives x, y and heading: then the variances of z, roll and
     pitch are zero, and the base keeps them.
 
     Args:
-        told: pose of the base in the map.
+        given: pose of the base in the map.
         T_map_base: where it was taken to be, shape (4, 4).
     """
-    covariance = told.covariance
+    covariance = given.covariance
     if covariance is None or np.diag(covariance)[list(_TILT)].any():
-        return told.transform
-    turn = _heading(told.transform) - _heading(T_map_base)
+        return given.transform
+    turn = _heading(given.transform) - _heading(T_map_base)
     pose = T_map_base.copy()
     cosine, sine = np.cos(turn), np.sin(turn)
     pose[:3, :3] = [[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]] @ pose[:3, :3]
-    pose[:2, 3] = told.transform[:2, 3]
+    pose[:2, 3] = given.transform[:2, 3]
     return pose
 
 
-def told_camera(told: PoseRecord, T_map_base: FloatArray, T_base_camera: FloatArray) -> PoseRecord:
-    """Where the camera is when the base is where a user has told.
+def user_camera(base: PoseRecord, T_map_base: FloatArray, T_base_camera: FloatArray) -> PoseRecord:
+    """Where the camera is when the base is where a user has said.
 
     Args:
-        told: pose of the base in the map.
+        base: pose of the base in the map.
         T_map_base: where it was taken to be, shape (4, 4).
         T_base_camera: shape (4, 4).
 
     Raises:
-        InvalidInputError: it is told without a covariance.
+        InvalidInputError: it has no covariance.
     """
-    if told.covariance is None:
+    if base.covariance is None:
         raise InvalidInputError("initialpose", "has no covariance")
-    base = told_base(told, T_map_base)
-    lever = base[:3, :3] @ T_base_camera[:3, 3]
-    covariance = carry_covariance(told.covariance, lever)
-    return PoseRecord(told.stamp, told.frame_id, base @ T_base_camera, covariance)
+    T_map_given = user_base(base, T_map_base)
+    lever = T_map_given[:3, :3] @ T_base_camera[:3, 3]
+    covariance = carry_covariance(base.covariance, lever)
+    return PoseRecord(base.stamp, base.frame_id, T_map_given @ T_base_camera, covariance)
 
 
 def _heading(transform: FloatArray) -> float:

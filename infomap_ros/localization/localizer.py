@@ -35,7 +35,7 @@ from infomap_ros.localization.recovery import Recovery
 from infomap_ros.localization.scene_fiducials import SceneFiducials
 from infomap_ros.localization.target.scene_tags import SceneTags
 from infomap_ros.localization.target.target import TargetDetector
-from infomap_ros.localization.target.watch import TargetWatch, is_certain, moved
+from infomap_ros.localization.target.watch import MAX_ROTATION_SIGMA, TargetWatch, is_certain, moved
 from infomap_ros.mapping import VoxelMap
 
 
@@ -77,8 +77,13 @@ class KnownMap:
         self._scene.move(transform)
 
 
-_LEAST_VARIANCE = 1e-10  # of a told pose [m^2 and rad^2], as who points at a plan tells no height
+_LEAST_VARIANCE = 1e-10  # of a given pose [m^2 and rad^2], as who points at a plan gives no height
 _ANYWHERE = (3.0, 3.0, 3.0, 1.0, 1.0, 1.0)  # sigmas of the motion of a camera that is lost [m, rad]
+# Views in a row in which fiducials ought to be seen and are not, after which the camera is lost.
+_MAX_CONTRADICTED_VIEWS = 3
+# Sigmas are enlarged by at most this factor where fiducials disagree by more than their sigmas, as
+# with imperfect calibration.
+_MAX_NOISE_FACTOR = 8.0
 
 
 class Localizer(KnownMap):
@@ -109,7 +114,7 @@ class Localizer(KnownMap):
         pose_filter = FiducialFilter(camera, self.config.filter)
         tags = SceneTags(self.config.scene_tags, getattr(detector, "board", None))
         super().__init__(pose_filter, SceneFiducials(camera, self.config, pose_filter, tags))
-        self._watch = TargetWatch(detector, self.config)
+        self._watch = TargetWatch(detector)
         self._recovery = Recovery(camera, self.config, self._filter, self._scene)
         self.reset()
 
@@ -121,10 +126,10 @@ class Localizer(KnownMap):
         self._state: State = "searching"
         self._stamp = self._fixed = -(2**62)
         self._keyframe = self._recalled = np.eye(4)
-        self._free_motion = FreeMotion(self.config.free_motion)
+        self._free_motion = FreeMotion()
         self._coasted, self._contradicted = 0, 0.0  # views in a row
         self._is_resumed = False
-        self._noise = AdaptiveNoise(self.config.max_noise_factor)
+        self._noise = AdaptiveNoise(_MAX_NOISE_FACTOR)
 
     def state(self) -> dict[str, NDArray[Any]]:
         """Everything that it knows, as arrays that can be written to a file; see `resume`."""
@@ -197,12 +202,12 @@ class Localizer(KnownMap):
             InvalidInputError: that is no pose, or one so uncertain that the camera stays lost.
         """
         pose = check_transform(T_map_camera, "T_map_camera")
-        told = check_covariance(covariance, 6)
-        if not is_certain(told, self.config):
-            limits = self.config.max_position_sigma, self.config.max_rotation_sigma
-            words = f"beyond max_position_sigma {limits[0]} m or max_rotation_sigma {limits[1]} rad"
+        given = check_covariance(covariance, 6)
+        if not is_certain(given, self.config):
+            limits = self.config.max_position_sigma, MAX_ROTATION_SIGMA
+            words = f"beyond max_position_sigma {limits[0]} m or {limits[1]} rad of rotation"
             raise InvalidInputError("covariance", f"is {words}, so the camera would stay lost")
-        known = told + _LEAST_VARIANCE * np.eye(6)
+        known = given + _LEAST_VARIANCE * np.eye(6)
         self._filter.predict(MotionPrior(invert_transform(self._filter.pose[0]) @ pose, known))
         self._filter.observe_pose(pose, known)
         self._state, self._fixed = "coasting", self._stamp
@@ -340,7 +345,7 @@ class Localizer(KnownMap):
             against = self._recovery.contradiction(view, seen)
             self._contradicted = self._contradicted + against if against else 0.0
             in_time = 1e-9 * (view.stamp - self._fixed) <= self.config.max_coasting
-            believed = in_time and self._contradicted < self.config.max_contradicted_views
+            believed = in_time and self._contradicted < _MAX_CONTRADICTED_VIEWS
             self._state = "coasting"
             if not (believed and is_certain(self._filter.covariance_by_calibration, self.config)):
                 self._lose()
@@ -372,7 +377,7 @@ class Localizer(KnownMap):
             if self._coasted < 2 or self._contradicted:
                 return
             self._scene.set_aside()
-        elif moved(self._recalled, self._filter.pose[0], self.config):
+        elif moved(self._recalled, self._filter.pose[0]):
             tracked += self._recovery.return_to_known(view)
             self._recalled = self._filter.pose[0]
         few = tracked < self.config.fewest_fiducials
@@ -385,10 +390,10 @@ class Localizer(KnownMap):
         if self._state == "lost":
             return LocalizedCamera(view.stamp, "lost", None, None, reason)
         pose, covariance = self._filter.pose
-        is_keyframe = keep or moved(self._keyframe, pose, self.config)
+        is_keyframe = keep or moved(self._keyframe, pose)
         if is_keyframe:
             self._filter.keep_pose(view.stamp)
             self._keyframe = pose
         parts = self._filter.divide_covariance(is_keyframe=is_keyframe)
-        told = pose, covariance, reason, tracked, is_keyframe, target_seen
-        return LocalizedCamera(view.stamp, self._state, *told, self._contradicted > 0.0, parts)
+        outcome = pose, covariance, reason, tracked, is_keyframe, target_seen
+        return LocalizedCamera(view.stamp, self._state, *outcome, self._contradicted > 0.0, parts)

@@ -11,9 +11,7 @@ from infomap_ros.errors import ConfigError
 from infomap_ros.geometry.config import check_config, parameter, setting
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.localization.fiducials.selection import FiducialSelectionConfig
-from infomap_ros.localization.fiducials.tracker import FiducialTrackerConfig
 from infomap_ros.localization.filter.config import FiducialFilterConfig
-from infomap_ros.localization.filter.free_motion import FreeMotionConfig
 from infomap_ros.localization.target.scene_tags import SceneTagsConfig
 from infomap_ros.mapping.scans.body import BodyFilterConfig
 
@@ -67,21 +65,12 @@ class LocalizerConfig:
     fewest_fiducials: int = setting(
         45, "With fewer in view, new ones are chosen.", low=5, high=1000
     )
-    keyframe_distance: float = setting(
-        0.15, "A pose is kept after this way.", unit="m", low=0.001, high=100.0
-    )
-    keyframe_angle: float = setting(
-        0.17, "A pose is kept after this turn.", unit="rad", low=0.01, high=3.0
-    )
     max_position_sigma: float = parameter(
         0.3,
         "The camera is lost when its position has a larger standard deviation along some axis.",
         unit="m",
         low=0.001,
         high=100.0,
-    )
-    max_rotation_sigma: float = setting(
-        0.15, "Likewise of its rotation about some axis.", unit="rad", low=0.001, high=1.0
     )
     max_coasting: float = parameter(
         5.0,
@@ -90,40 +79,11 @@ class LocalizerConfig:
         low=0.0,
         high=3600.0,
     )
-    max_contradicted_views: int = setting(
-        3,
-        "Views in a row in which fiducials ought to be seen and are not, after which the camera is "
-        "not where it is thought to be, but lost.",
-        low=1,
-        high=1000,
-    )
     body: ClassVar[BodyFilterConfig] = BodyFilterConfig(margin=0.03, sigmas=0.0)
     """No fiducial is chosen this near to the robot's own body, or seen through it."""
-    max_noise_factor: float = setting(
-        8.0,
-        "Sigmas of measurements are enlarged by at most this factor where fiducials disagree by "
-        "more than their sigmas, as with imperfect calibration; 1 believes the stated noise.",
-        low=1.0,
-        high=100.0,
-    )
-    recovery_fiducials: int = setting(
-        12, "Fiducials that must agree to find a lost camera again.", low=5, high=1000
-    )
-    target_interval: float = setting(
-        1.0, "Time between two looks for the target while tracking.", unit="s", low=0.0, high=3600.0
-    )
-    contradictions: int = setting(
-        3,
-        "Sightings of the target in a row that contradict the pose, after which the target is "
-        "believed and all else forgotten.",
-        low=1,
-        high=1000,
-    )
     calibration: CalibrationConfig = field(default_factory=CalibrationConfig)
     selection: FiducialSelectionConfig = field(default_factory=FiducialSelectionConfig)
-    tracker: FiducialTrackerConfig = field(default_factory=FiducialTrackerConfig)
     filter: FiducialFilterConfig = field(default_factory=FiducialFilterConfig)
-    free_motion: FreeMotionConfig = field(default_factory=FreeMotionConfig)
     scene_tags: SceneTagsConfig = field(default_factory=SceneTagsConfig)
 
     def __post_init__(self) -> None:

@@ -24,6 +24,7 @@ _ANYWHERE = 0.2  # of the image's width, a search radius beyond which all of it 
 _EXPECTED = 10  # fiducials that ought to be seen, from which on their absence says something
 _HIDDEN = 0.34  # of a contradiction, when what is missed may be hidden
 _ROUGH = (0.005, 0.005, 0.005, 0.002, 0.002, 0.002)  # [m, rad] of a pose of some fiducials
+_AGREEING = 12  # fiducials that must agree to find a lost camera again
 _FOUND = 0.25  # share of them that must be seen for the camera to be where it is thought to be
 
 
@@ -166,7 +167,7 @@ class Recovery:
         """
         known = self._filter.fiducials()
         chosen = observations.select(np.isin(observations.ids, known.ids))
-        needed: float = self._config.recovery_fiducials
+        needed: float = _AGREEING
         if len(chosen) < needed:
             return False
         order = np.argsort(known.ids)

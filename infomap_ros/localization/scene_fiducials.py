@@ -36,7 +36,7 @@ from infomap_ros.mapping.scans.body import body_mask
 _SEEN_THROUGH = 3  # contradictions in a row after which a fiducial is given up
 _SAME_RANGE = 0.1  # share by which something that hides a fiducial is nearer
 _STILL = 0.3  # [px]
-_EXPECTED_WAY, _EXPECTED_TURN = 0.003, 0.003  # [m, rad] below which no motion is expected
+_EXPECTED_DISTANCE, _EXPECTED_TURN = 0.003, 0.003  # [m, rad] below which no motion is expected
 _BORDER = 12.0  # [px] within which a fiducial need not be seen
 
 
@@ -59,7 +59,7 @@ class SceneFiducials:
     ) -> None:
         self._camera, self._config, self._filter = camera, config, pose_filter
         self._tags = tags
-        self._tracker = FiducialTracker(config.tracker)
+        self._tracker = FiducialTracker()
         self._next = 0
         self._contradicted: dict[int, int] = {}  # times in a row
         self._seen_from: dict[int, FloatArray] = {}  # the camera's viewpoint
@@ -67,7 +67,7 @@ class SceneFiducials:
 
     def clear(self) -> None:
         """Forget all; the filter is left as it is."""
-        self._tracker = FiducialTracker(self._config.tracker)
+        self._tracker = FiducialTracker()
         self._contradicted.clear()
         self._seen_from.clear()
         self._at_update.clear()
@@ -271,7 +271,7 @@ class SceneFiducials:
             for name, array in state.items()
             if name.startswith("tracker_")
         }
-        self._tracker = FiducialTracker.from_state(tracker, self._config.tracker)
+        self._tracker = FiducialTracker.from_state(tracker)
         self._next = int(state["scene_next"])
         places = zip(state["scene_ids"].tolist(), state["scene_viewpoints"], strict=True)
         self._seen_from = dict(places)
@@ -314,5 +314,5 @@ def joined(first: FiducialObservations, second: FiducialObservations) -> Fiducia
 
 def _is_motion(prior: MotionPrior) -> bool:
     turn = Rotation.from_matrix(prior.T_before_after[:3, :3]).magnitude()
-    way = np.linalg.norm(prior.T_before_after[:3, 3])
-    return bool(way > _EXPECTED_WAY or turn > _EXPECTED_TURN)
+    distance = np.linalg.norm(prior.T_before_after[:3, 3])
+    return bool(distance > _EXPECTED_DISTANCE or turn > _EXPECTED_TURN)

@@ -7,7 +7,7 @@ from infomap_ros.mapping.config import (
     VoxelMapConfig,
 )
 from infomap_ros.mapping.scans.integration import IntegrationReport
-from infomap_ros.mapping.terrain.terrain import Terrain, TerrainConfig, terrain_of
+from infomap_ros.mapping.terrain.terrain import Terrain, terrain_of
 from infomap_ros.mapping.voxel_map import DepthImage, VoxelMap
 from infomap_ros.mapping.voxels.changes import VoxelChanges
 from infomap_ros.mapping.voxels.window import (
@@ -31,7 +31,6 @@ __all__ = [
     "IntegrationReport",
     "OccupancyThresholds",
     "Terrain",
-    "TerrainConfig",
     "VoxelChanges",
     "VoxelMap",
     "VoxelMapConfig",

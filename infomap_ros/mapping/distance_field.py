@@ -153,7 +153,7 @@ def clearance_bounds(
 ) -> tuple[float, float]:
     """Bounds between which the distance from a point to the nearest blocked voxel lies [m].
 
-    The distance changes by no more than the way between two points, so its value at the center of
+    It changes between two points by no more than they are apart, so its value at the center of
     the voxel that holds the point gives both. The first four arguments are those of `FieldArrays`.
     """
     nx, ny, nz = distances.shape
@@ -357,7 +357,7 @@ def distance_field(
     doubtful_is_free: bool = False,
     known_free: Sequence[PlacedSolid] = (),
     own_points: ArrayLike = (),
-    in_the_way: Sequence[PlacedSolid] = (),
+    obstacles: Sequence[PlacedSolid] = (),
 ) -> DistanceField:
     """Distance to the nearest voxel that is not free.
 
@@ -374,7 +374,7 @@ def distance_field(
             says that they are occupied.
         own_points: points within the robot, shape (K, 3) [m, map]: the voxels that hold them are
             free whatever was observed there, as nothing else can be in that place.
-        in_the_way: space that is blocked whatever was observed there, such as that which another
+        obstacles: space that is blocked whatever was observed there, such as that which another
             robot fills [map].
 
     Raises:
@@ -387,7 +387,7 @@ def distance_field(
     if known_free and doubtful.any():
         _mark(doubtful, window, known_free, False)
     blocked = doubtful | (states == OCCUPIED)
-    _mark(blocked, window, in_the_way, True)
+    _mark(blocked, window, obstacles, True)
     points = float_array(own_points, "own_points")
     if points.size:
         places = window.positions_of(_points(points))

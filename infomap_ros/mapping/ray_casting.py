@@ -3,7 +3,7 @@
 The box of an occupied voxel begins up to a voxel's diagonal before the surface in it, and rays
 that pass beside a surface meet the boxes of its voxels all the same. The surface is where the
 Gaussians are. That of a voxel stands for a patch of a plane: through its mean, across its smallest
-axis. Where noise was too large for a normal (`_FLAT`) it is a plane that faces the ray.
+axis. Where noise was too large for a normal (`FLAT`) it is a plane that faces the ray.
 
 A patch reaches to the faces of its voxel and a little beyond where the surface goes on in a voxel
 behind the face. At the edge of an object it fills a part of the voxel, and its mean is in the
@@ -29,10 +29,10 @@ from infomap_ros.mapping.voxels.block_kernels import find_block, quanta_at
 from infomap_ros.mapping.voxels.keys import (
     BLOCK_BITS,
     begin_walk,
+    exit_distance,
     local_index,
     next_voxel,
     pack,
-    way_through,
 )
 from infomap_ros.mapping.voxels.surface_kernels import (
     ROW_SIZE,
@@ -41,7 +41,7 @@ from infomap_ros.mapping.voxels.surface_kernels import (
     variance_along,
 )
 
-_FLAT = 0.9
+FLAT = 0.9
 """A Gaussian has a normal where the variance along it is less than this share of that across it."""
 
 _GRAZING = 0.02
@@ -135,7 +135,7 @@ def _cast(
         key = pack(i >> BLOCK_BITS, j >> BLOCK_BITS, k >> BLOCK_BITS)
         if key != block_key:
             block_key, slot = key, np.int64(find_block(blocks, key))
-        leave = way_through(crossings)
+        leave = exit_distance(crossings)
         if slot >= 0:
             quanta = quanta_at(blocks, slot, local_index(i, j, k))[1]
             if quanta > 0:
@@ -217,7 +217,7 @@ def _distance_to_plane(covariance: Any, mean: Any, direction: Any) -> tuple[floa
     variance, nx, ny, nz = smallest_axis(c[0], c[1], c[2], c[3], c[4], c[5])
     across = 0.5 * (c[0] + c[3] + c[5] - variance)
     incidence = dx * nx + dy * ny + dz * nz
-    if variance < _FLAT * across:  # not where it is NaN
+    if variance < FLAT * across:  # not where it is NaN
         if abs(incidence) < _GRAZING:
             return -1.0, variance, (nx, ny, nz)
         distance = (x * nx + y * ny + z * nz) / incidence
@@ -360,5 +360,5 @@ def cast_to_voxels(
             if slot >= 0 and quanta_at(blocks, slot, local_index(i, j, k))[1] > 0:
                 distances[ray], hits[ray] = entered, True
                 break
-            entered = way_through(crossings)
+            entered = exit_distance(crossings)
             voxel, crossings = next_voxel(voxel, crossings, steps, deltas)

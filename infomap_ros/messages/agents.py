@@ -1,4 +1,4 @@
-"""What a robot tells of itself, as a ``visualization_msgs/MarkerArray`` that RViz shows.
+"""What a robot reports of itself, as a ``visualization_msgs/MarkerArray`` that RViz shows.
 
 Three markers in the namespace ``robot<id>``: the cylinder about the body, the opening of the camera
 at the goal view, and what the robot is doing. Only the cylinder's text is read, a JSON object
@@ -66,7 +66,7 @@ def encode_agent(
 
 
 def decode_agent_texts(message: object) -> list[tuple[str, str]]:
-    """Frame and text of each robot that a ``visualization_msgs/MarkerArray`` tells of.
+    """Frame and text of each robot that a ``visualization_msgs/MarkerArray`` has.
 
     Raises:
         MalformedMessageError: a marker lacks a field, or a field is of another type.

@@ -1,8 +1,8 @@
-"""Fiducials as rows of a ``sensor_msgs/PointCloud2``."""
+"""Fiducials as rows of a ``sensor_msgs/PointCloud2``; tags that another node detects."""
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,8 +10,11 @@ from numpy.typing import NDArray
 from infomap_ros.errors import MalformedMessageError
 from infomap_ros.localization.filter.config import Fiducials
 from infomap_ros.messages.clouds import POINT_CLOUD
-from infomap_ros.messages.fields import MessageTypes
+from infomap_ros.messages.fields import MessageFields, MessageTypes
 from infomap_ros.messages.rows import decode_rows, encode_rows
+
+if TYPE_CHECKING:
+    from infomap_ros.localization.target.tag_detection import TagDetectionsRecord
 
 FIDUCIAL_ROW = np.dtype(
     [
@@ -72,3 +75,29 @@ def decode_fiducials(message: object) -> tuple[int, str, Fiducials]:
     if len(rows) and not (variances[:, 0] > -_ROUNDING * variances[:, 2]).all():
         raise MalformedMessageError(POINT_CLOUD, "holds a covariance that is not positive")
     return stamp, frame_id, Fiducials(rows["id"].astype(np.int64), positions, covariances)
+
+
+TAG_DETECTIONS = "apriltag_msgs/msg/AprilTagDetectionArray"
+# AprilTag gives bottom left, bottom right, top right, top left of prints that stand upside down in
+# OpenCV's dictionaries, with the center of the first pixel at (0.5, 0.5).
+_APRILTAG_CORNERS, _APRILTAG_CENTER = [1, 0, 3, 2], 0.5
+
+
+def decode_tag_detections(message: object) -> TagDetectionsRecord:
+    """Read an ``apriltag_msgs/AprilTagDetectionArray``.
+
+    Raises:
+        MalformedMessageError: a tag has not four corners, or a number is not finite.
+    """
+    # Nodes that read fiducials only do not load what finds tags.
+    from infomap_ros.localization.target.tag_detection import TAG, TagDetectionsRecord
+
+    fields, rows = MessageFields(message, TAG_DETECTIONS), []
+    for tag in fields.children("detections"):
+        quad = np.array([(p.number("x"), p.number("y")) for p in tag.children("corners")])
+        if quad.shape != (4, 2):
+            fields.fail(f"{tag.path}corners are not four")
+        corners = quad[_APRILTAG_CORNERS] - _APRILTAG_CENTER
+        known = tag.name("family"), tag.integer("id"), tag.integer("hamming")
+        rows.append((*known, tag.number("decision_margin"), corners))
+    return TagDetectionsRecord(*fields.header(), np.array(rows, TAG))

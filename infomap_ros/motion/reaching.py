@@ -2,7 +2,7 @@
 
 Where the arm alone can reach, the base stays. Else places for the base are derived from postures of
 the arm (`arm_postures`), those where the robot stands safely and can unfold are given to the
-planner of the base, and the arm is folded for the drive. Where no way leads all the way, the
+planner of the base, and the arm is folded for the drive. Where no path leads all the way, the
 farthest safe approach is offered (Sujan and Dubowsky 2005, Fig. 7).
 
 Where a vehicle can stand, as a grid for planners that move a point, and what it has to see.
@@ -136,7 +136,7 @@ class WholeBodyReach:
         obstacles: what must not be touched and the map does not show, such as other robots.
         sigma: of where the base is, from `infomap_ros.motion.whole_body`; what drives and
             the arm are taken for wider accordingly [m].
-        keep_out: where the base must not go. Where it stands there already, its ways begin with
+        keep_out: where the base must not go. Where it stands there already, its paths begin with
             the shortest one out (`infomap_ros.motion.base.base_planner`).
         camera: in whose image the robot itself must not cover much; None where that is no matter.
 
@@ -189,8 +189,8 @@ class WholeBodyReach:
 
     @cached_property
     def planner(self) -> BasePlanner:
-        """Plans ways of the base in the driving posture."""
-        terrain = terrain_of(self._map, self.config.terrain, self._base[:3, 3])
+        """Plans paths of the base in the driving posture."""
+        terrain = terrain_of(self._map, self._base[:3, 3])
         if self._start is not None:
             terrain = self._start.ground(terrain, self._whole.vehicle)
         ground = with_obstacles(terrain, self._obstacles)
@@ -306,7 +306,7 @@ class WholeBodyReach:
         within = position_tolerance, angle_tolerance
         return there or self._routes.arm_near_view(view, *within, planned)
 
-    def way_to(self, base: ArrayLike, joints: Mapping[str, float]) -> ReachResult:
+    def route_to(self, base: ArrayLike, joints: Mapping[str, float]) -> ReachResult:
         """Plan the motion to a place of the base and a posture of the arm.
 
         Args:
@@ -341,7 +341,7 @@ class WholeBodyReach:
         return f"the ground below is {where}; " if where else ""
 
     def _arm_may_reach(self, views: FloatArray) -> np.ndarray:
-        """Whether the arm reaches views from where the base is, without a way being asked for."""
+        """Whether the arm reaches views from where the base is, without a path being asked for."""
         T_base_camera = np.linalg.inv(self._base) @ views
         near = np.linalg.norm(T_base_camera[:, :3, 3], axis=1) <= self._whole.arm_reach
         found = np.zeros(len(views), dtype=bool)

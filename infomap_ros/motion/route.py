@@ -1,4 +1,4 @@
-"""What a plan of motion consists of: way of the arm, way of the base, way of the arm."""
+"""What a plan of motion consists of: path of the arm, path of the base, path of the arm."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from infomap_ros.geometry.transforms import FloatArray
 
 @dataclass(frozen=True, eq=False)
 class ArmPath:
-    """A way of the arm through joint space, with times.
+    """A path of the arm through joint space, with times.
 
     Attributes:
         joint_names: names of the n joints, the columns of `positions`.
-        positions: knots, shape (K, n) [rad or m]; straight lines between them. Empty where no way
+        positions: knots, shape (K, n) [rad or m]; straight lines between them. Empty where no path
             was found.
         times: of the knots since the start of the motion, increasing from 0, shape (K,) [s].
-        converged: whether the way leads from start to goal.
+        converged: whether the path leads from start to goal.
         reason: why not, in words; empty where it does.
     """
 
@@ -30,7 +30,7 @@ class ArmPath:
 
     @classmethod
     def failed(cls, joint_names: tuple[str, ...], reason: str) -> ArmPath:
-        """No way, and why."""
+        """No path, and why."""
         return cls(joint_names, np.zeros((0, len(joint_names))), np.zeros(0), False, reason)
 
     @classmethod
@@ -50,7 +50,7 @@ class ArmPath:
 
     @property
     def joint_travel(self) -> float:
-        """The way of the joint that moves most, there and back counted [rad or m]."""
+        """Travel of the joint that moves most, there and back counted [rad or m]."""
         if len(self.positions) < 2:
             return 0.0
         return float(np.abs(np.diff(self.positions, axis=0)).sum(axis=0).max(initial=0.0))
@@ -89,7 +89,7 @@ class ReachResult:
     Attributes:
         reason: empty where it can, else a short sentence that says why not.
         travel: length of the base's path [m].
-        joint_travel: way of the arm's joint that moves most, over the whole route [rad or m].
+        joint_travel: travel of the arm's joint that moves most, over the whole route [rad or m].
         route: how; None where there is none.
         partial: the route ends at the farthest safe approach, not at the view itself.
         T_map_camera: camera pose in which the route ends, shape (4, 4); NaN without a route.

@@ -74,7 +74,7 @@ class RouteCheck:
         self._keep_out = keep_out or KeepOut()
         self._whole, self._config, self._start = whole, config, start
         # The plan kept a margin; what uses it up, as noise of the ground does, breaks nothing off.
-        self._vehicle = whole.vehicle.under_way
+        self._vehicle = whole.vehicle.while_driving
         self._base, self._began = T_map_base, whole.chain.positions(joints)
         self._path = route.base_path if route.moves_base else np.zeros((0, 3))
         self._heights = route.base_poses[:, 2, 3] if route.moves_base else np.zeros(0)
@@ -133,8 +133,8 @@ class RouteCheck:
         # Where it stands it can stand: what it leaves at once is no fault.
         left = blocked[self._passed :]
         leaving = int(np.argmin(left))
-        way = self._path[self._passed + leaving][None]
-        if apart(way, self._path[self._passed])[0] <= self._config.base.standing_reach:
+        end = self._path[self._passed + leaving][None]
+        if apart(end, self._path[self._passed])[0] <= self._config.base.standing_reach:
             left[:leaving] = False
         if not blocked.any():
             return None
@@ -163,8 +163,8 @@ class RouteCheck:
 
     def _terrain(self, voxel_map: VoxelMap) -> Terrain:
         """The ground as it was planned on: the same search, the same place where it stands."""
-        config, vehicle, reach = self._config, self._whole.vehicle, self._config.base.standing_reach
-        terrain = known_ground(voxel_map, config.terrain, vehicle, self._base, self._start, reach)
+        vehicle, reach = self._whole.vehicle, self._config.base.standing_reach
+        terrain = known_ground(voxel_map, vehicle, self._base, self._start, reach)
         return with_keep_out(terrain, self._keep_out)
 
     def _checker(self, voxel_map: VoxelMap) -> CollisionChecker:

@@ -1,8 +1,8 @@
 """Routes of base and arm from where the robot is, and where the arm has been since it stands there.
 
 The map may change its mind about space through which the arm has come: a scan adds a speck of
-noise, or the base stands a little off from where the way was planned. The way back is open all the
-same, as the body itself has just been there.
+noise, or the base stands a little off from where the path was planned. The path back is open all
+the same, as the body itself has just been there.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from infomap_ros.motion.collision.checker import NearSpace
 from infomap_ros.motion.route import ArmPath, ReachResult, Route
 from infomap_ros.motion.whole_body import ReachingConfig, WholeBody
 
-_SAME = 0.05  # [rad or m]; by which an arm may be off from its way
+_SAME = 0.05  # [rad or m]; by which an arm may be off from its path
 _MOVED = 0.1  # [m]; by which a base that stands may seem to move
 _TURNED = 0.15  # [rad]
 _STRAIGHT = 1e-6  # [rad or m]
@@ -79,7 +79,7 @@ class ArmTrail:
         return fresh
 
     def back(self) -> FloatArray:
-        """Corners of the way back, the present configuration first, shape (K, n)."""
+        """Corners of the path back, the present configuration first, shape (K, n)."""
         return corners_of(self.positions)[::-1]
 
     def _stood_elsewhere(self, T_map_base: FloatArray) -> bool:
@@ -95,10 +95,10 @@ def corners_of(positions: FloatArray) -> FloatArray:
     kept = [0]
     for row in range(1, len(positions) - 1):
         first, middle, last = positions[kept[-1]], positions[row], positions[row + 1]
-        way = last - first
-        length = float(way @ way)
-        share = float((middle - first) @ way) / length if length > 0.0 else 2.0
-        on_line = 0.0 <= share <= 1.0 and np.abs(first + share * way - middle).max() <= _STRAIGHT
+        line = last - first
+        length = float(line @ line)
+        share = float((middle - first) @ line) / length if length > 0.0 else 2.0
+        on_line = 0.0 <= share <= 1.0 and np.abs(first + share * line - middle).max() <= _STRAIGHT
         if not on_line:
             kept.append(row)
     if len(positions) > 1:
@@ -107,7 +107,7 @@ def corners_of(positions: FloatArray) -> FloatArray:
 
 
 def _passed(path: ArmPath, q: FloatArray) -> FloatArray | None:
-    """The part of a way that an arm at `q` has behind it; None if it is not on that way."""
+    """The part of a path that an arm at `q` has behind it; None if it is not on that path."""
     if not len(path.positions):
         return None
     away = np.abs(path.positions - q).max(axis=1, initial=0.0)
@@ -117,10 +117,10 @@ def _passed(path: ArmPath, q: FloatArray) -> FloatArray | None:
     return np.concatenate([path.positions[: nearest + 1], q[None]])
 
 
-_BRANCHES = 5  # corners of the trail from which another way is sought
+_BRANCHES = 5  # corners of the trail from which another path is sought
 _POSTURES_TRIED = 400
-_NEAREST_TRIED = 6  # postures near a view to which a way is sought
-_ALIKE = 0.3  # [rad or m]; where no way leads to a posture, none leads to one so near to it
+_NEAREST_TRIED = 6  # postures near a view to which a path is sought
+_ALIKE = 0.3  # [rad or m]; where no path leads to a posture, none leads to one so near to it
 _SEES_ITSELF = "the robot itself covers too much of the image"
 _OUT_OF_REACH = "the arm does not reach it from where the base stands"
 _THERE = 1e-6  # [rad or m]
@@ -149,7 +149,7 @@ class RoutePlanner:
         return self.trail.positions[-1]
 
     def arm_from_here(self, goal: FloatArray) -> ArmPath:
-        """A way of the arm where the base stands: through free space, or back along its trail."""
+        """A path of the arm where the base stands: through free space, or back along its trail."""
         base = self.trail.T_map_base
         direct = self.arm(self.q, goal, base)
         return direct if direct.converged else self._back_and_on(goal, direct)
@@ -157,7 +157,7 @@ class RoutePlanner:
     def arm(
         self, start: FloatArray, goal: FloatArray, T_map_base: FloatArray, quick: bool = False
     ) -> ArmPath:
-        """A way of the arm through free space where the base stands at a place, shape (4, 4)."""
+        """A path of the arm through free space where the base stands at a place, shape (4, 4)."""
         checker, limits = self.near.checker_at(T_map_base), self.config.trajectory
         effort = QUICK_SEARCH if quick else self.config.arm_path
         return plan_arm_path(checker, start, goal, T_map_base, effort, limits)
@@ -244,7 +244,7 @@ class RoutePlanner:
     def with_base(self, path: BasePath, q: FloatArray) -> ReachResult:
         """Fold the arm, drive, and unfold it to `q`, shape (n,).
 
-        Where the way is partial and the arm cannot unfold at its end, it stays folded.
+        Where the path is partial and the arm cannot unfold at its end, it stays folded.
         """
         if len(path.poses) < 2 and not path.complete:
             return ReachResult(f"base path: {path.reason}")
@@ -283,11 +283,11 @@ class RoutePlanner:
         return np.asarray(qs[int(np.argmin(away + angles))])
 
     def _quick_arm(self, goal: FloatArray) -> ArmPath:
-        """A way of the arm from where it is, sought with less effort."""
+        """A path of the arm from where it is, sought with less effort."""
         return self.arm(self.q, goal, self.trail.T_map_base, quick=True)
 
     def foldable(self) -> RoutePlanner:
-        """The same with a posture to drive in to which there is a way here.
+        """The same with a posture to drive in to which there is a path here.
 
         The usual one where that can be, else another that is compact, else the one in which the
         base came to where it stands: it is the farthest back on the trail.
@@ -317,16 +317,16 @@ class RoutePlanner:
         for row in range(1, min(len(back), _BRANCHES + 1)):
             on = plan_arm_path(checker, back[row], goal, base, QUICK_SEARCH)
             if on.converged:
-                way = np.concatenate([back[:row], corners_of(on.positions)])
-                return self._timed_back(way)
+                path = np.concatenate([back[:row], corners_of(on.positions)])
+                return self._timed_back(path)
         return direct
 
-    def _timed_back(self, way: FloatArray) -> ArmPath:
-        """Times for a way back, on which the arm may come off its corners by next to nothing."""
+    def _timed_back(self, corners: FloatArray) -> ArmPath:
+        """Times for a path back, on which the arm may come off its corners by next to nothing."""
         trajectory = self.config.trajectory
         deviation = min(trajectory.corner_deviation, _BESIDE)
         limits = replace(trajectory, corner_deviation=deviation)
-        return time_path(self.whole.chain, way, limits, lambda first, second: True)
+        return time_path(self.whole.chain, corners, limits, lambda first, second: True)
 
 
 def _apart(qs: FloatArray, rows: NDArray[np.intp]) -> list[int]:

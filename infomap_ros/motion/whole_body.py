@@ -18,7 +18,6 @@ from infomap_ros.errors import ConfigError, InvalidInputError
 from infomap_ros.geometry import PinholeCamera, PlacedSolid, check_covariance, check_transform, skew
 from infomap_ros.geometry.config import check_config, parameter, setting
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.mapping.terrain.terrain import TerrainConfig
 from infomap_ros.motion.arm.arm_path import ArmPathConfig, TrajectoryConfig
 from infomap_ros.motion.arm.arm_postures import (
     ArmPostures,
@@ -35,6 +34,9 @@ from infomap_ros.motion.robot.chain import KinematicChain
 from infomap_ros.motion.robot.robot_model import RobotModel
 
 _RIM = 8  # directions in which the rim of the body is asked
+# So many standard deviations of where a body is are added to its margin, in squares, up to these
+# margins of base and arm [m].
+_MARGIN_SIGMAS, _MAX_BASE_MARGIN, _MAX_ARM_MARGIN = 2.0, 0.08, 0.03
 _STEP = 0.01  # [m]; vehicles of a few margins are made and remembered
 
 
@@ -86,7 +88,8 @@ def widenings_for(config: VehicleConfig | CollisionConfig, sigma: float) -> list
         One or more, falling [m].
     """
     least = config.margin
-    wanted = min(math.hypot(least, config.margin_sigmas * sigma), max(config.max_margin, least))
+    largest = _MAX_BASE_MARGIN if isinstance(config, VehicleConfig) else _MAX_ARM_MARGIN
+    wanted = min(math.hypot(least, _MARGIN_SIGMAS * sigma), max(largest, least))
     steps = round((wanted - least) / _STEP)
     return [_STEP * step for step in range(steps, -1, -1)]
 
@@ -114,7 +117,7 @@ class ReachingConfig:
     goals: ClassVar[int] = 5
     """Of these, the nearest good ones that are given to the planner of the base."""
     min_approach: ClassVar[float] = 0.3
-    """A way that does not lead to the view is offered where it brings the base nearer by more
+    """A path that does not lead to the view is offered where it brings the base nearer by more
     than this [m].
     """
     clear_body: ClassVar[float] = 0.05
@@ -126,7 +129,6 @@ class ReachingConfig:
     collision: CollisionConfig = field(default_factory=CollisionConfig)
     arm_path: ArmPathConfig = field(default_factory=ArmPathConfig)
     trajectory: TrajectoryConfig = field(default_factory=TrajectoryConfig)
-    terrain: TerrainConfig = field(default_factory=TerrainConfig)
     vehicle: VehicleConfig = field(default_factory=VehicleConfig)
     base: BasePlannerConfig = field(default_factory=BasePlannerConfig)
     following: PathFollowingConfig = field(default_factory=PathFollowingConfig)

@@ -2,7 +2,7 @@
 
 Topics of the bag become relative names, so that namespace and remaps apply; /tf, /tf_static and
 /diagnostics stay absolute. Messages are passed on as they are in the bag, without being read. The
-replay runs in the worker thread, so that acknowledgements are heard while it publishes. When the
+replay runs in the worker thread, so that acknowledgements are received while it publishes. When the
 bag loops the clock jumps back; that is for the listeners to notice.
 """
 
@@ -74,12 +74,14 @@ def advertise_topics(
 
 
 _SETTLING = 1.0  # [s]
+# With acknowledged: the clouds with whose stamp a message of paced_topic has been used.
+_RESULT_TOPIC = "map_updates"
 _CLOCK_PERIOD = 0.05  # [s]
 
 
 @dataclass(frozen=True)
 class BagPlayerNodeConfig:
-    """What bag_player plays, for whom it waits, and what tells it that a message was used.
+    """What bag_player plays, for whom it waits, and what reports that a message was used.
 
     Raises:
         ConfigError: a value is out of its range.
@@ -100,10 +102,6 @@ class BagPlayerNodeConfig:
     )
     paced_topic: str = setting(
         "/left/image_raw", "With acknowledged: the topic of the bag whose results are waited for."
-    )
-    result_topic: str = setting(
-        "map_updates",
-        "With acknowledged: the clouds with whose stamp a message of paced_topic has been used.",
     )
 
     def __post_init__(self) -> None:
@@ -134,7 +132,7 @@ class BagPlayerNode(MonitoredNode):
         self._player = self._make_player()
         if self._player.config.acknowledged:
             profile = qos.sensor_data(depth=100)
-            self.listen(PointCloud2, self._config.result_topic, self._on_result, profile)
+            self.listen(PointCloud2, _RESULT_TOPIC, self._on_result, profile)
         self._stopping = False
         self.start_worker(1).submit(self._play)
 
@@ -171,7 +169,7 @@ class BagPlayerNode(MonitoredNode):
         except InfomapError as error:
             self.get_logger().error(str(error))
             status = 1
-        self._tell_what_was_wrong()
+        self._report_problems()
         self.finished.set_result(status)
         if self.executor is not None:
             self.executor.wake()
@@ -203,7 +201,7 @@ class BagPlayerNode(MonitoredNode):
             ],
         )
         results = list(self._config.wait_for_publishers)
-        results += [self._config.result_topic] * self._player.config.acknowledged
+        results += [_RESULT_TOPIC] * self._player.config.acknowledged
         made = [self.resolve_topic_name(name) for name in results]
         self._wait_until(
             lambda: all(self.count_publishers(name) for name in made),
@@ -218,7 +216,7 @@ class BagPlayerNode(MonitoredNode):
             self.get_logger().info(text, throttle_duration_sec=5.0)
             time.sleep(0.02)
 
-    def _tell_what_was_wrong(self) -> None:
+    def _report_problems(self) -> None:
         remarks = [f"{count} skipped, {why}" for why, count in self._reader.skipped.items()]
         if lost := self._player.unacknowledged:
             remarks.append(f"{lost} messages of {self._config.paced_topic} were lost")

@@ -17,7 +17,7 @@ from infomap_ros.errors import PoseUnavailableError
 from infomap_ros.geometry import OdometryRecord, PoseRecord, TransformRecord, invert_transform
 from infomap_ros.geometry.pose_buffer import PoseBuffer, PoseBufferConfig
 from infomap_ros.geometry.records import WaitingQueue, WaitingQueueConfig
-from infomap_ros.localization.dead_reckoning import DeadReckoning, DeadReckoningConfig, told_base
+from infomap_ros.localization.dead_reckoning import DeadReckoning, DeadReckoningConfig, user_base
 from infomap_ros.messages import decode_camera_info, encode_pose
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
@@ -26,12 +26,10 @@ from infomap_ros.nodes.common.run import run_node
 from infomap_ros.nodes.locating.base_topics import (
     INITIAL_POSE,
     BaseOdometry,
-    listen_to_initial_pose,
-)
-from infomap_ros.nodes.locating.odom_frame import (
     MapFrameConfig,
     OdomFrameBroadcaster,
     frame_publisher,
+    listen_to_initial_pose,
 )
 from infomap_ros.nodes.robot.posture_listener import PostureListener
 from infomap_ros.nodes.robot.robot_tracker import RobotTrackerConfig
@@ -74,12 +72,12 @@ class DeadReckoningNode(MonitoredNode):
             self._reckoning = DeadReckoning(self.config(DeadReckoningConfig))
             self._bases.add(self._reckoning.add(odometry))
 
-    def _place(self, told: PoseRecord) -> None:
+    def _place(self, given: PoseRecord) -> None:
         """The base is where a user says; poses from before are forgotten, not joined to it."""
         stamp = self._bases.newest_stamp
         if stamp is None:
             raise PoseUnavailableError("there was no odometry yet", "no odometry")
-        self._reckoning.place(told_base(told, self._bases.at(stamp).transform))
+        self._reckoning.place(user_base(given, self._bases.at(stamp).transform))
         self._bases.clear()
         self.get_logger().info(f"{INITIAL_POSE}: the map's frame is where that puts it")
 

@@ -28,7 +28,7 @@ from infomap_ros.exploration.mission import Mission
 from infomap_ros.exploration.records.run_log import RunLogFile
 from infomap_ros.exploration.robot import FailedView, Interrupted
 from infomap_ros.exploration.rules import STOPPED, Control, Ending, EndReason, Request
-from infomap_ros.exploration.target.target_hunt import find_target
+from infomap_ros.exploration.target_hunt import find_target
 from infomap_ros.exploration.task import TaskConfig
 from infomap_ros.exploration.team.keep_clear import PAUSE, Awareness, KeepClearConfig, KeepsClear
 from infomap_ros.geometry.assumed_pose import AssumedPoseConfig
@@ -40,6 +40,7 @@ from infomap_ros.nodes.common.lockstep import LockstepConfig, LockstepTime
 from infomap_ros.nodes.common.run import run_node
 from infomap_ros.nodes.locating.localization_status import (
     LOCALIZATION_STATUS,
+    SEEN,
     LocalizationState,
     read_status,
 )
@@ -53,40 +54,44 @@ from infomap_ros.team.agents import Agent
 
 
 class TeammatesNear:
-    """What the others tell of themselves.
+    """What the others report of themselves.
 
     Args:
         node: that listens; has the configurations of team and tracker.
+        tracker: knows in which frame this robot is.
     """
 
-    def __init__(self, node: MonitoredNode) -> None:
+    def __init__(self, node: MonitoredNode, tracker: RobotTracker) -> None:
+        self._tracker = tracker
         who = node.config(TeamIdentityConfig)
         self._board = AgentBoard(who.robot_id, None, team=who.team, key=who.read_key())
         self._own = node.resolve_topic_name("robot_description")
         self._lock = threading.Lock()
-        listen_to_agents(node, node.config(RobotTrackerConfig).map_frame, self._hear)
+        listen_to_agents(node, node.config(RobotTrackerConfig).map_frame, self._receive)
 
     def present(self) -> tuple[Agent, ...]:
-        """The others that were heard lately, as they told last; may be asked by any thread."""
+        """The others that have reported lately; may be asked by any thread."""
         with self._lock:
-            heard = self._board.present(time.monotonic())
-        # An explorer that was given no id hears its own robot's next_best_view, too.
-        return tuple(agent for agent in heard if agent.description != self._own)
+            self._board.origin = self._tracker.origin
+            present = self._board.present(time.monotonic())
+        # An explorer that was given no id receives its own robot's next_best_view, too.
+        return tuple(agent for agent in present if agent.description != self._own)
 
-    def _hear(self, text: str) -> None:
+    def _receive(self, text: str) -> None:
         with self._lock:
-            self._board.hear(text, time.monotonic())
+            self._board.receive(text, time.monotonic())
 
 
 _PAIRS = 2  # that are looked at in one place; the first may be from the way
+_PAIRS_OF_TEAMMATE = 12  # where a teammate is in view; several sightings have to agree
 
 
 class TargetSight:
-    """Implements `infomap_ros.exploration.target.target_hunt.SearchSight`.
+    """Implements `infomap_ros.exploration.target_hunt.SearchSight`.
 
     Args:
         node: listens to localization_status.
-        tracker: woken by news, and knows where odometry has the robot.
+        tracker: woken by new messages, and knows where odometry has the robot.
     """
 
     def __init__(self, node: MonitoredNode, tracker: RobotTracker) -> None:
@@ -100,12 +105,17 @@ class TargetSight:
     @property
     def found(self) -> bool:
         """Whether localization says anything else than that it searches."""
-        return self._last.state not in ("", "searching")
+        return self._last.state not in ("", "searching") and not self.wants_team
+
+    @property
+    def wants_team(self) -> bool:
+        """Whether a teammate with tags is still to be found, instead of a target."""
+        return bool(self._last.team)
 
     @property
     def is_wanted(self) -> bool:
-        """Whether there is a target that was never seen, and odometry to look for it by."""
-        is_searching = self._last.state == "searching"
+        """Whether a target or a team was never seen, and there is odometry to look for it by."""
+        is_searching = self._last.state == "searching" or self.wants_team
         return is_searching and self._tracker.known_state(in_odometry=True) is not None
 
     def look(self, interrupted: Interrupted) -> str:
@@ -113,16 +123,17 @@ class TargetSight:
         before = self._looks
 
         def done() -> bool:
-            return self._looks - before >= _PAIRS or self.found
+            wanted = _PAIRS_OF_TEAMMATE if self._last.team == SEEN else _PAIRS
+            return self._looks - before >= wanted or self.found
 
         if self._tracker.wait_until(done, self._progress_timeout, interrupted) or interrupted():
             return ""
         return f"no pair was looked at within {self._progress_timeout:g} s"
 
     def _on_status(self, message: DiagnosticStatus) -> None:
-        news = read_status(message)
-        self._looks += news.stamp != self._last.stamp
-        self._last = news
+        status = read_status(message)
+        self._looks += status.stamp != self._last.stamp
+        self._last = status
         self._tracker.notify()
 
 
@@ -140,7 +151,7 @@ class ExplorerConfig:
 
     autostart: bool = parameter(False, "Begin at once, without ~/start.")
     plan_only: bool = parameter(
-        False, "Choose views and ways again and again, and move nothing: others move the robot."
+        False, "Choose views and paths again and again, and move nothing: others move the robot."
     )
     mission_file: str = parameter(
         "mission.json", "File with the account of the mission, relative to the working directory."
@@ -176,6 +187,7 @@ class ExplorerNode(MonitoredNode):
         super().__init__("explorer", **node_arguments)
         self._config = self.config(ExplorerConfig)
         self._exploration: Exploration | None = None
+        self._has_started = False
         self._thread: threading.Thread | None = None
         self._tracker = RobotTracker(self, infos=("left/camera_info",))
         self._time: LockstepTime | None = None
@@ -184,12 +196,13 @@ class ExplorerNode(MonitoredNode):
             self._tracker.wait_in_lockstep(self._time)
         link = RobotTopics(self, self._tracker, self._stopped)
         self._robot = CommandedRobot(link, self.config(CommandedRobotConfig))
-        self._teammates = TeammatesNear(self)
+        self._teammates = TeammatesNear(self, self._tracker)
         self._sight = TargetSight(self, self._tracker)
         self._failed_views: list[FailedView] = []
         self._planner = RemotePlanner(self, self._failed_views.append, self._stopped)
         self._mission_file = Path(self._config.mission_file).absolute()
-        self._status = self.advertise(DiagnosticStatus, "exploration_status", qos.latched())
+        profile = qos.alive(qos.latched())
+        self._status = self.advertise(DiagnosticStatus, "exploration_status", profile)
         orders: dict[str, Callable[[], str]] = {
             "start": self._start,
             "pause": partial(self._ask, Request.PAUSE, "pausing"),
@@ -239,12 +252,12 @@ class ExplorerNode(MonitoredNode):
             raise ExplorationError("the exploration is running already")
         if not self.is_active:
             raise ExplorationError("this node is inactive: ros2 lifecycle set /explorer activate")
+        self._has_started = False
         goes_on = self._config.resume and self._mission_file.exists()
         mission = Mission.load(self._mission_file) if goes_on else Mission()
         path = Path(self._config.log_file).absolute()
-        log = RunLogFile(
-            path, append=goes_on, robot_clock=lambda: 1e-9 * self.get_clock().now().nanoseconds
-        )
+        stamps = (lambda: 1e-9 * self.get_clock().now().nanoseconds) if self._time is None else None
+        log = RunLogFile(path, append=goes_on, robot_clock=stamps or self._seconds)
         self._log = log
         self._exploration = Exploration(
             KeepsClear(self._robot, self._awareness(), self.config(KeepClearConfig)),
@@ -255,12 +268,19 @@ class ExplorerNode(MonitoredNode):
             mission,
             self._config.plan_only,
             self._on_step,
+            self._seconds,
         )
         if self._time is not None:
             self._time.is_over = False
         self._thread = threading.Thread(target=self._explore, name="exploration", daemon=True)
         self._thread.start()
         return f"going on after {mission.views} views" if goes_on else "starting"
+
+    def _seconds(self) -> float:
+        """Of the time in which the robot moves, whatever else the machine has to do [s]."""
+        if self._time is not None:
+            return self._time.seconds
+        return 1e-9 * self.motion_clock.now().nanoseconds
 
     def _awareness(self) -> Awareness:
         """Teammates are in the map: who still looks for its target does not know where they are."""
@@ -303,9 +323,15 @@ class ExplorerNode(MonitoredNode):
                 break
             if not self._sight.is_wanted:
                 return None
-            self._robot.in_odometry = True
-            ending = find_target(exploration, self._sight, self._planner)
+            self._write_start()  # the motions of the search are in the log, too
+            self._robot.in_odometry, is_for_team = True, self._sight.wants_team
+            what = "teammates" if is_for_team else "the target"
+            ending = find_target(exploration, self._sight, self._planner, what)
             self._robot.in_odometry = False
+            if ending is not None and is_for_team:  # its map is its own until one comes into view
+                self.get_logger().info(f"no teammate was found: {ending.detail}")
+                if self._tracker.wait_until(self._is_complete, math.inf, self._stopped):
+                    return None
             if ending is not None:
                 return ending
         return STOPPED
@@ -315,7 +341,10 @@ class ExplorerNode(MonitoredNode):
         return self._is_complete() or (self._sight.is_wanted and self._planner.is_there)
 
     def _write_start(self) -> None:
-        """Begin the log of the run, now that the robot is known."""
+        """Begin the log of the run, now that the robot is known; once."""
+        if self._has_started:
+            return
+        self._has_started = True
         names = ("width", "height", "fx", "fy", "cx", "cy")
         try:
             camera = self._tracker.calibrations[0].rectified_camera()
@@ -361,6 +390,8 @@ class ExplorerNode(MonitoredNode):
 
         Who plans has to know of it before it is asked.
         """
+        if (move := self._tracker.take_move()) is not None:
+            exploration.mission.move(move)
         try:
             exploration.mission.save(self._mission_file)
         except OSError as error:

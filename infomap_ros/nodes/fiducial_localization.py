@@ -17,32 +17,41 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
+from importlib.util import find_spec
+from itertools import repeat
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from infomap_ros.exploration.team.teammate_places import TeammatePlacesConfig
+from infomap_ros.errors import ConfigError
 from infomap_ros.geometry import PoseRecord
 from infomap_ros.geometry.pose_buffer import PoseBufferConfig
 from infomap_ros.geometry.records import WaitingQueueConfig
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.localization.dead_reckoning import DeadReckoningConfig
-from infomap_ros.localization.fiducials.sparse_stereo import SparseStereoConfig
-from infomap_ros.localization.filter.motion_prior import KinematicMotion
+from infomap_ros.localization.filter.motion_prior import KinematicMotion, RobotPosture
 from infomap_ros.localization.localizer_config import LocalizerConfig
 from infomap_ros.localization.saved_localization import SavedLocalization
 from infomap_ros.localization.target.config import TargetConfig, make_detector
+from infomap_ros.localization.target.tag_detection import TagPairing, believed_tags
 from infomap_ros.localization.target.team_alignment import TeamTagsConfig
+from infomap_ros.messages.fiducials import TAG_DETECTIONS, decode_tag_detections
+from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.common.lockstep import LockstepConfig
 from infomap_ros.nodes.common.memory import MemoryConfig, reserve_heap
+from infomap_ros.nodes.common.message_types import message_class
 from infomap_ros.nodes.common.orders import offer_order
 from infomap_ros.nodes.common.run import prepare_kernels, run_node
-from infomap_ros.nodes.locating.base_topics import INITIAL_POSE, listen_to_initial_pose
+from infomap_ros.nodes.locating.base_topics import (
+    INITIAL_POSE,
+    MapFrameConfig,
+    listen_to_initial_pose,
+)
 from infomap_ros.nodes.locating.localization_config import FiducialLocalizationConfig, warm_up
-from infomap_ros.nodes.locating.localization_news import LocalizationNews
-from infomap_ros.nodes.locating.odom_frame import MapFrameConfig
+from infomap_ros.nodes.locating.localization_outputs import LocalizationReporter
 from infomap_ros.nodes.locating.teammate_sight import TeammateSight
 from infomap_ros.nodes.robot.image_inputs import ImageInputs, depth_topics, stereo_topics
 from infomap_ros.nodes.robot.posture_listener import PostureListener
@@ -67,8 +76,11 @@ from infomap_ros.pipeline.perception import (
 from infomap_ros.pipeline.scan_synchronizer import CLOCK_JUMPED
 from infomap_ros.pipeline.view_synchronizer import PosturedView, ViewSynchronizer
 from infomap_ros.stereo import DepthCameraConfig, StereoConfig
-from infomap_ros.team.agents import AgentBoardConfig
 from infomap_ros.team.config import TeamConfig
+
+_STILL = 0.01  # largest difference of a coordinate [m], or of a cosine, of a camera that stands
+Detections = NDArray[np.void] | None
+"""Tags in a view, shape (T,) of `TAG`; None where no other node is asked."""
 
 
 class ViewInputs:
@@ -77,15 +89,15 @@ class ViewInputs:
     Args:
         node: has the configuration of the queue, and counts what is dropped.
         topics: of the images.
-        on_view: gets each view, of which no image has been looked at yet.
-        on_clock_jump: told when the images' clock has jumped back.
+        on_view: gets each view, of which no image has been looked at yet, and the tags in it.
+        on_clock_jump: called when the images' clock has jumped back.
     """
 
     def __init__(
         self,
         node: MonitoredNode,
         topics: ImageSources,
-        on_view: Callable[[PosturedView[ImageSet]], None],
+        on_view: Callable[[PosturedView[ImageSet], Detections], None],
         on_clock_jump: Callable[[], None],
     ) -> None:
         self._node, self._on_view, self._on_clock_jump = node, on_view, on_clock_jump
@@ -100,6 +112,14 @@ class ViewInputs:
             waiting=node.config(WaitingQueueConfig),
             on_drop=self._on_drop,
         )
+        waiting = node.config(WaitingQueueConfig)
+        self._tags = TagPairing(waiting, config.pairing_tolerance, node.drop)
+        self._uses_detections = config.use_detections
+        if self._uses_detections:
+            if find_spec("apriltag_msgs") is None:
+                raise ConfigError("use_detections", True, "apriltag_msgs, which is not installed")
+            kind = message_class(TAG_DETECTIONS)
+            node.listen(kind, "detections", self._on_detections, qos.sensor_data())
         self._images = ImageInputs(
             node,
             topics,
@@ -116,14 +136,23 @@ class ViewInputs:
     def _on_images(self, images: ImageSet) -> None:
         if self._motion is not None:
             self._motion.look_from(images.frame_id)
+        self._tags.frame_id = images.frame_id
         if self._views.add(images):
             self._node.get_logger().warning(CLOCK_JUMPED)
+            self._tags.clear()
             self._on_clock_jump()
         self._take()
 
+    def _on_detections(self, message: object) -> None:
+        self._tags.add(decode_tag_detections(message))
+        self._take()
+
     def _take(self) -> None:
-        for view in self._views.take():
-            self._on_view(view)
+        views = self._views.take()
+        for view, tags in (
+            self._tags.take(views) if self._uses_detections else zip(views, repeat(None))
+        ):
+            self._on_view(view, tags)
 
     def _on_drop(self, reason: str, sentence: str) -> None:
         if reason == CLOCK_JUMPED:
@@ -146,11 +175,8 @@ class FiducialLocalizationNode(MonitoredNode):
         (LocalizerConfig, ""),
         (TargetConfig, "target."),
         (TeamTagsConfig, "team_tags."),
-        (TeammatePlacesConfig, "teammates."),
-        (AgentBoardConfig, "agents."),
         (DeadReckoningConfig, "motion_noise."),
         (StereoConfig, ""),
-        (SparseStereoConfig, "sparse."),
         (DepthCameraConfig, "depth_camera."),
         (PoseBufferConfig, "poses."),
         (WaitingQueueConfig, "waiting."),
@@ -168,17 +194,19 @@ class FiducialLocalizationNode(MonitoredNode):
         self._topics, self._estimator = topics, self._make_estimator()
         self._localizer = self._make_localizer()
         prepare_kernels(self, warm_up, seconds=80.0)
-        self._news = LocalizationNews(self, self._localizer)
+        self._reporter = LocalizationReporter(self, self._localizer)
         self._worker = self.start_worker(config.queue_size)
         stays = self.config(TargetConfig).kind != "none"
         self._teammates = TeammateSight(self, self._worker, self._move_map, stays=stays)
         self._map = MapListener(self, self._worker, required=False) if config.use_map else None
         self._moved = self._seen = 0  # stamps [ns]
+        self._stood: FloatArray | None = None
+        self._move: tuple[PoseRecord, int] | None = None
         if config.follow_alignment:
             frame = self.config(RobotTrackerConfig).map_frame
             who = self.config(TeamIdentityConfig)
             identity = who.read_key(), who.robot_id
-            listen_to_moves(self, frame, self._worker, self._move_map, MAP_ALIGNMENT, *identity)
+            listen_to_moves(self, frame, self._worker, self._on_alignment, MAP_ALIGNMENT, *identity)
         listen_to_initial_pose(self, self._on_initial_pose)
         self._inputs = ViewInputs(self, topics, self._on_view, self._on_clock_jump)
         offer_order(self, "~/reset", self._worker, self._reset)
@@ -189,21 +217,21 @@ class FiducialLocalizationNode(MonitoredNode):
     def _make_estimator(self) -> ViewEstimator:
         if self._config.source == "depth":
             return DepthViewEstimator(self.config(DepthCameraConfig))
-        stereo, sparse = self.config(StereoConfig), self.config(SparseStereoConfig)
-        return StereoViewEstimator(stereo, rectify=self._config.rectify, sparse=sparse)
+        return StereoViewEstimator(self.config(StereoConfig), rectify=self._config.rectify)
 
     def _make_localizer(self) -> CameraLocalizer:
         motion = KinematicMotion(self.config(DeadReckoningConfig))
         detector = make_detector(self.config(TargetConfig))
         config, tilt = self.config(LocalizerConfig), self._config.start_tilt
-        localizer = CameraLocalizer(CameraLocalizerConfig(config, motion, detector, tilt))
+        robot = self.config(TeamIdentityConfig).robot_id
+        localizer = CameraLocalizer(CameraLocalizerConfig(config, motion, detector, tilt, robot))
         if self._path is not None and self._config.resume and self._path.exists():
             localizer.resume(SavedLocalization.load(self._path))
             self.get_logger().info(f"going on in the map of {self._path}")
         return localizer
 
-    def _on_view(self, view: PosturedView[ImageSet]) -> None:
-        self._worker.submit(partial(self._work, view))
+    def _on_view(self, view: PosturedView[ImageSet], tags: Detections) -> None:
+        self._worker.submit(partial(self._work, view, tags))
 
     def _on_clock_jump(self) -> None:
         self._worker.submit_always(self._begin_again)
@@ -215,31 +243,63 @@ class FiducialLocalizationNode(MonitoredNode):
         else:
             self._localizer.reset()
 
-    def _work(self, view: PosturedView[ImageSet]) -> None:
-        self.guard(self._topics.images[0], partial(self._locate, view))
+    def _work(self, view: PosturedView[ImageSet], tags: Detections) -> None:
+        self.guard(self._topics.images[0], partial(self._locate, view, tags))
 
-    def _locate(self, view: PosturedView[ImageSet]) -> None:
+    def _locate(self, view: PosturedView[ImageSet], tags: Detections) -> None:
         """One moment: look, locate, publish."""
         framed = self._estimator.measure(view.images)
+        if tags is not None:
+            framed.view.tags = believed_tags(tags, framed.view.image.shape, self.drop)
         others = self._teammates.bodies(view.stamp)
         voxel_map = None if self._map is None else self._map.known_map()
         known = view.posture, view.body, others, voxel_map
         result = self._localizer.locate(framed.view, *known)
-        self._news.tell(result, framed.frame_id, view.posture, view.odom_frame)
+        search, self._teammates.origin = self._teammates.search, self._localizer.origin
+        self._reporter.report(result, framed.frame_id, view.posture, view.odom_frame, search)
         self._seen = result.stamp
         self._moved = self._moved or result.stamp  # what was found before the start is old
         self._teammates.look(framed.view, result)
+        self._move_when_still(view.posture)
 
-    def _move_map(self, told: PoseRecord) -> None:
+    def _move_when_still(self, posture: RobotPosture | None) -> None:
+        """Move the map as was found, when the camera stands: no motion in it is under way then."""
+        before, self._stood = self._stood, None if posture is None else posture.T_odom_camera
+        now, move = self._stood, self._move
+        if move is None or (now is not None and (before is None or not _is_still(before, now))):
+            return
+        self._move = None
+        self.guard(MAP_ALIGNMENT, partial(self._move_at_once, *move))
+
+    def _on_alignment(self, given: PoseRecord) -> None:
+        """Somebody else says where the frame of the map belongs."""
+        self._move_map(given, self._teammates.other_origin())
+
+    def _move_map(self, given: PoseRecord, origin: int) -> None:
+        """Put the map's frame where it belongs, as soon as the camera stands where it is by images.
+
+        Raises:
+            InvalidInputError: it cannot be moved, or was moved since that was found.
+        """
+        check_is_later(given, self._moved)
+        if given.stamp:
+            self._move = given, origin
+        else:
+            self._move_at_once(given, origin)
+
+    def _move_at_once(self, given: PoseRecord, origin: int) -> None:
         """Put the map's frame where it belongs; what map_fusion has follows the keyframes.
 
         Raises:
             InvalidInputError: it cannot be moved, or was moved since that was found.
         """
-        check_is_later(told, self._moved)
-        covariance = np.zeros((6, 6)) if told.covariance is None else told.covariance
-        self._localizer.move_map(told.transform, covariance)
-        self._note_move(told.transform)
+        check_is_later(given, self._moved)
+        covariance = np.zeros((6, 6)) if given.covariance is None else given.covariance
+        self._localizer.move_map(given.transform, covariance, origin)
+        self._teammates.origin = self._localizer.origin
+        self._note_move(given.transform)
+        if self._path is not None and origin:  # nobody may go on in the frame of before
+            self._save_when_idle()
 
     def _note_move(self, T_new_old: FloatArray) -> None:
         self._moved = self._seen
@@ -248,17 +308,17 @@ class FiducialLocalizationNode(MonitoredNode):
         self.health.note("last move", sentence)
         self.get_logger().info(sentence)
 
-    def _on_initial_pose(self, told: PoseRecord) -> None:
-        place = partial(self._place_base, told)
+    def _on_initial_pose(self, given: PoseRecord) -> None:
+        place = partial(self._place_base, given)
         self._worker.submit_always(lambda: self.guard(INITIAL_POSE, place))
 
-    def _place_base(self, told: PoseRecord) -> None:
+    def _place_base(self, given: PoseRecord) -> None:
         """Take from a user where the base is.
 
         Raises:
             InvalidInputError: that cannot be; see `CameraLocalizer.place_base`.
         """
-        T_new_old = self._localizer.place_base(told)
+        T_new_old = self._localizer.place_base(given)
         if T_new_old is None:
             self.get_logger().info(f"{INITIAL_POSE}: the camera is looked for there")
         else:
@@ -290,6 +350,11 @@ class FiducialLocalizationNode(MonitoredNode):
             if (saved := self._localizer.saved()) is not None:
                 self._save(saved)
         super().destroy_node()
+
+
+def _is_still(before: FloatArray, now: FloatArray) -> bool:
+    """Whether two poses are the same but for noise, shapes (4, 4)."""
+    return bool(np.abs(before - now).max() < _STILL)
 
 
 def main() -> int:

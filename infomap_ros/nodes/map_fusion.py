@@ -2,7 +2,7 @@
 
 Callbacks only receive: a cloud waits until the pose at its stamp is known and then goes to the
 worker thread, which owns the map: it integrates, publishes, saves, loads and resets, in the order
-in which it is told. So no lock is needed and no callback blocks.
+in which it is sent. So no lock is needed and no callback blocks.
 
 Localization corrects the poses of keyframes on keyframe_poses: scans follow, and the map is
 corrected (`infomap_ros.nodes.map_fusion`).
@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from sensor_msgs.msg import PointCloud2
 
 from infomap_ros.errors import FrameError
-from infomap_ros.exploration.team.teammate_places import BodyInScan, TeamBodiesConfig
+from infomap_ros.exploration.team.teammate_places import BodyInScan
 from infomap_ros.geometry.assumed_pose import AssumedPoseConfig
 from infomap_ros.geometry.config import check_config, parameter, setting
 from infomap_ros.geometry.joint_buffer import JointBufferConfig
@@ -34,9 +34,8 @@ from infomap_ros.geometry.pose_buffer import PoseBufferConfig
 from infomap_ros.geometry.records import WaitingQueueConfig
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMapConfig
-from infomap_ros.mapping.correction.reintegration import ReintegrationConfig
 from infomap_ros.mapping.correction.scan_store import ScanStoreConfig
-from infomap_ros.mapping.files.export import ProjectionConfig
+from infomap_ros.mapping.files.export import DistanceConfig, ProjectionConfig
 from infomap_ros.mapping.scans.body import BodyFilterConfig
 from infomap_ros.messages.motions import (
     KeyframePoses,
@@ -56,16 +55,13 @@ from infomap_ros.nodes.fusion.map_outputs import (
     OCTOMAP_BINARY,
     OCTOMAP_FULL,
     PROJECTED_MAP,
-    MapOutputsConfig,
 )
 from infomap_ros.nodes.fusion.scan_inputs import ScanInputs
 from infomap_ros.nodes.robot.robot_body import RobotBodyConfig
 from infomap_ros.nodes.team.map_moves import listen_to_moves
-from infomap_ros.nodes.team.team_bodies import TeamBodyConfig
 from infomap_ros.nodes.team.team_radio import TeamRadioConfig
 from infomap_ros.nodes.team.team_topics import TeamIdentityConfig
 from infomap_ros.pipeline.scan_synchronizer import Scan, ScanSynchronizerConfig, StampedParts
-from infomap_ros.team.agents import AgentBoardConfig
 from infomap_ros.team.config import TeamConfig
 
 
@@ -95,7 +91,7 @@ def offer_map(node: MonitoredNode, keeper: MapKeeper, worker: Worker) -> None:
     offer_service(node, query, "~/clear_region", worker, clear)
 
 
-# map_fusion hears of corrected camera poses, and puts its scans where they belong.
+# map_fusion receives corrected camera poses, and puts its scans where they belong.
 #
 # The work is cut into jobs of about one scan, so that new scans are integrated in between and the
 # map is served as it was until the corrected one is complete.
@@ -137,9 +133,9 @@ class MapCorrections:
         self._hand_over(self._parts.add(poses.stamp, poses))
 
     def _hand_over(self, complete: list[tuple[KeyframePoses, _Covariances | None]]) -> None:
-        for poses, told in complete:
-            if told is not None and np.array_equal(told[1], poses.stamps):
-                poses = replace(poses, origin=told[0], covariances=told[2])
+        for poses, given in complete:
+            if given is not None and np.array_equal(given[1], poses.stamps):
+                poses = replace(poses, origin=given[0], covariances=given[2])
             correct = partial(self._node.guard, KEYFRAME_POSES, partial(self._correct, poses))
             self._worker.submit_always(correct)
 
@@ -194,19 +190,15 @@ class MapFusionNode(MonitoredNode):
         (TeamIdentityConfig, ""),
         (TeamConfig, "team_map."),
         (TeamRadioConfig, "team_map."),
-        (MapOutputsConfig, ""),
         (ProjectionConfig, "projection."),
+        (DistanceConfig, "distances."),
         (VoxelMapConfig, ""),
         (ScanStoreConfig, "scans."),
-        (ReintegrationConfig, "corrections."),
         (ScanSynchronizerConfig, ""),
         (PoseBufferConfig, "poses."),
         (WaitingQueueConfig, "waiting."),
         (RobotBodyConfig, ""),
         (BodyFilterConfig, "body."),
-        (TeamBodyConfig, ""),
-        (TeamBodiesConfig, "teammates."),
-        (AgentBoardConfig, "agents."),
         (JointBufferConfig, "joints."),
         (MemoryConfig, ""),
         (LockstepConfig, ""),
@@ -219,7 +211,7 @@ class MapFusionNode(MonitoredNode):
         keeper.prepare()
         reserve_heap(self.config(MemoryConfig))
         self._worker = self.start_worker(self._config.queue_size)
-        self._telling = False
+        self._is_publishing = False
         keeper.team.listen(self._worker)
         MapCorrections(self, keeper, self._worker)
         frame = self.config(ScanSynchronizerConfig).map_frame
@@ -254,15 +246,15 @@ class MapFusionNode(MonitoredNode):
         self._worker.submit_always(self._keeper.publish_pictures)
 
     def _publish_more(self) -> None:
-        """Where no scan does it, tell a subscriber that is new what it waits for."""
+        """Where no scan does it, send a new subscriber what it waits for."""
 
-        def tell() -> None:
-            self._telling = False
+        def publish() -> None:
+            self._is_publishing = False
             self._keeper.publish_more()
 
-        if self._keeper.behind and not self._telling:
-            self._telling = True
-            self._worker.submit_always(tell)
+        if self._keeper.behind and not self._is_publishing:
+            self._is_publishing = True
+            self._worker.submit_always(publish)
 
     def _autosave(self) -> None:
         self._worker.submit_always(lambda: self.guard("map_file", self._keeper.save_meanwhile))

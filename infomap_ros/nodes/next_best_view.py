@@ -1,18 +1,23 @@
 """Node ``next_best_view``: one more replica of the shared map, asked where to look next.
 
+Or a map of another mapper, which is an OctoMap tree: each one takes the place of that before.
+
 Callbacks only receive. The worker thread owns replica and planner: it applies map updates in the
 order in which they come and plans when it is asked to, which takes a second or two. It publishes
 its plan under its own name (``next_best_view/base_path``), never where a robot listens: a plan
 must not move anything.
 
-On team/agents it tells the team where this robot is and which view it is heading for, and hears so
+On team/agents it reports where this robot is and which view it is heading for, and receives so
 of the others: it leaves to them what they are about to see, and keeps clear of them.
 """
 
 from __future__ import annotations
 
+import struct
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from importlib.util import find_spec
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -21,6 +26,7 @@ from std_msgs.msg import Empty
 from visualization_msgs.msg import Marker, MarkerArray
 
 from infomap_ros.errors import (
+    ConfigError,
     ExplorationError,
     FrameError,
     InfomapError,
@@ -30,7 +36,7 @@ from infomap_ros.errors import (
 from infomap_ros.exploration.fiducial_error import FiducialLocalizationError
 from infomap_ros.exploration.records.choice_text import choice_to_text
 from infomap_ros.exploration.robot import Choice, FailedView, KnownPlace, RobotState
-from infomap_ros.exploration.target.target_search import TargetSearchPlanner
+from infomap_ros.exploration.target_search import TargetSearchPlanner
 from infomap_ros.exploration.task import TaskConfig
 from infomap_ros.exploration.team.team_planner import TeamPlanner
 from infomap_ros.exploration.view_planner import Surrounding, ViewPlanner, ViewPlannerConfig
@@ -52,13 +58,16 @@ from infomap_ros.localization.prediction.error_prediction import ErrorPrediction
 from infomap_ros.localization.target.search import TargetSearchConfig
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.mapping.files.export import ProjectedGrid
+from infomap_ros.mapping.files.octomap_file import DEPTH, OctomapLeaves, leaves_of_tree
+from infomap_ros.messages.encode import OCTOMAP
 from infomap_ros.messages.fiducials import decode_fiducials
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.common.lockstep import LockstepConfig
+from infomap_ros.nodes.common.message_types import message_class
 from infomap_ros.nodes.common.orders import offer_order
 from infomap_ros.nodes.common.run import prepare_kernels, run_node
-from infomap_ros.nodes.planning.exploration_status import ExplorationNews, read_status
+from infomap_ros.nodes.planning.exploration_status import ExplorationStatus, read_status
 from infomap_ros.nodes.planning.keep_out_listener import MARKER, KeepOutListener, MarkerSet, pose_of
 from infomap_ros.nodes.planning.plan_outputs import PlanOutputs, TraversabilityMap
 from infomap_ros.nodes.planning.plan_warm_up import warm_up
@@ -71,6 +80,7 @@ from infomap_ros.nodes.team.team_topics import TeamIdentityConfig
 from infomap_ros.stereo import DepthCameraConfig
 from infomap_ros.team.agents import AgentsConfig
 from infomap_ros.team.config import TeamConfig
+from infomap_ros.team.update import are_one_frame
 from infomap_ros.views.information.view_information import ExpectedInformation
 from infomap_ros.views.information.view_query import DISPARITY_SIGMA
 from infomap_ros.views.ranking.strategies import make_strategy
@@ -169,7 +179,7 @@ class SearchPlans:
         self._planner: TargetSearchPlanner | None = None
 
     def plan(self) -> str:
-        """The next look as text, pose and ways in the frame of odometry; nothing is published.
+        """The next look as text, pose and paths in the frame of odometry; nothing is published.
 
         What the camera sees from where it is counts as looked at in vain.
 
@@ -218,6 +228,99 @@ class FiducialListener:
         self._newest = fiducials
 
 
+@dataclass(frozen=True)
+class MapSourceConfig:
+    """Whose map views are planned on.
+
+    Raises:
+        ConfigError: a value is out of its range.
+    """
+
+    map_source: str = parameter(
+        "updates",
+        "The map of map_fusion and the team, on map_updates and team/map_updates, or that of "
+        "octomap_server or another mapper, an octomap_msgs/Octomap on octomap_full.",
+        choices=("updates", "octomap"),
+    )
+    octomap_free: float = parameter(
+        0.12,
+        "With map_source octomap: leaves up to this occupancy probability are free. The default "
+        "is sensor_model.min of octomap_server, at which it clamps.",
+        low=0.05,
+        high=0.4,
+    )
+
+    def __post_init__(self) -> None:
+        check_config(self)
+
+
+class OctomapListener:
+    """The newest octree, as a map. A callback of the node reads it, the worker makes the map.
+
+    Args:
+        node: that listens; has the configurations of tracker, listener and source of the map.
+        on_update: called with each octree.
+
+    Raises:
+        ConfigError: octomap_msgs is not installed.
+    """
+
+    def __init__(self, node: MonitoredNode, on_update: Callable[[], None]) -> None:
+        if find_spec("octomap_msgs") is None:
+            raise ConfigError("map_source", "octomap", "octomap_msgs, which is not installed")
+        self._node, self._on_update = node, on_update
+        self._frame = node.config(RobotTrackerConfig).map_frame
+        self._newest: OctomapLeaves | None = None
+        self._known: OctomapLeaves | None = None
+        self._map: VoxelMap | None = None
+        prepare_kernels(node, _make_a_map, seconds=5.0)
+        node.listen(message_class(OCTOMAP), _OCTOMAP, self._receive, qos.latched())
+
+    def voxel_map(self) -> VoxelMap:
+        """The map of the newest octree that can be one.
+
+        Raises:
+            ExplorationError: there is none, or it is empty.
+        """
+        if self._newest is not self._known:
+            self._known = self._newest
+            self._node.guard(_OCTOMAP, self._make_map)
+        if self._map is None or not self._map.known_voxels:
+            raise ExplorationError(f"no {_OCTOMAP} with something in it has arrived yet")
+        return self._map
+
+    def _make_map(self) -> None:
+        if self._known is not None:
+            free = self._node.config(MapSourceConfig).octomap_free
+            limit = self._node.config(MapListenerConfig).memory_limit
+            self._map = self._known.voxel_map(free, limit)
+
+    def _receive(self, message: Any) -> None:
+        """Read an octree; the map is made of it when somebody asks for one.
+
+        Raises:
+            InfomapError: it cannot be used; the one before stays.
+        """
+        frame = message.header.frame_id
+        if frame != self._frame:
+            raise FrameError(f"octree in frame '{frame}', the map is '{self._frame}'")
+        if message.id != "OcTree":
+            raise MalformedMessageError(OCTOMAP, f"of a '{message.id}', expected an OcTree")
+        data = bytes(message.data)
+        self._newest = leaves_of_tree(data, message.resolution, binary=message.binary)
+        self._node.health.produced()
+        self._on_update()
+
+
+_OCTOMAP = "octomap_full"
+
+
+def _make_a_map() -> None:
+    """Of one voxel in the corner of a tree, and the nodes above it."""
+    nodes = struct.pack("<fB", 1.0, 1) * DEPTH + struct.pack("<fB", 1.0, 0)
+    leaves_of_tree(nodes, 1.0, binary=False).voxel_map(0.12, 1.0)
+
+
 _AT_REST = ("ended", "paused")  # states in which an exploration heads for nothing
 
 
@@ -226,6 +329,7 @@ class NextBestViewNode(MonitoredNode):
 
     CONFIGS = (
         (PlannedCameraConfig, ""),
+        (MapSourceConfig, ""),
         (MapListenerConfig, ""),
         (TeamIdentityConfig, ""),
         (TeamConfig, "team_map."),
@@ -254,15 +358,20 @@ class NextBestViewNode(MonitoredNode):
         map_frame = self.config(RobotTrackerConfig).map_frame
         self._interests = Interests(map_frame)
         self._outputs = PlanOutputs(self)
-        self._news = ExplorationNews()
+        self._last = ExplorationStatus()
         self._route_status, self._is_checking = RouteStatusPublisher(self), False
         self._target: FloatArray | None = None
         self._planner: TeamPlanner | None = None
+        self._origin = 0
         self._settings: tuple[TaskConfig, ViewPlannerConfig] | None = None
         self._error: FiducialLocalizationError | None = None
         self._agents = TeamAgents(self, self._tracker)
         self._worker = self.start_worker(1, last_job=1.0)
-        self._map = MapListener(self, self._worker, on_update=self._submit_check)
+        self._map = (
+            OctomapListener(self, self._submit_check)
+            if self.config(MapSourceConfig).map_source == "octomap"
+            else MapListener(self, self._worker, on_update=self._submit_check)
+        )
         self._keep_out = KeepOutListener(self, map_frame, self._submit_check)
         self.listen(MarkerArray, "interest", self._interests.update, qos.latched(), required=False)
         self.listen(
@@ -270,8 +379,8 @@ class NextBestViewNode(MonitoredNode):
         )
         self._traversability = TraversabilityMap(self, self._worker, self._traversable)
         offer_order(self, "~/plan", self._worker, self._plan)
-        offer_order(self, "~/plan_home", self._worker, lambda: self._plan_way(self._news.home))
-        offer_order(self, "~/plan_back", self._worker, lambda: self._plan_way(self._news.last_look))
+        offer_order(self, "~/plan_home", self._worker, lambda: self._plan_to(self._last.home))
+        offer_order(self, "~/plan_back", self._worker, lambda: self._plan_to(self._last.last_look))
         offer_order(self, "~/plan_arm", self._worker, self._plan_arm)
         self._working = self.advertise(Empty, f"~/{WORKING}", qos.stream())
         self.repeat(1.0, self._say_that_it_works)
@@ -289,12 +398,12 @@ class NextBestViewNode(MonitoredNode):
             ExpectedInformation(config.metric)
 
     def _on_status(self, message: DiagnosticStatus) -> None:
-        before, self._news = self._news, read_status(message)
+        before, self._last = self._last, read_status(message)
         self._agents.doing = message.message
         if message.message.startswith(_AT_REST):
             self._agents.team.give_up()
-        failed = self._news.failed_view
-        if failed is not None and self._news.failures > before.failures:
+        failed = self._last.failed_view
+        if failed is not None and self._last.failures > before.failures:
             self._worker.submit_always(partial(self._note_failure, failed))
 
     def _note_failure(self, view: FailedView) -> None:
@@ -309,9 +418,9 @@ class NextBestViewNode(MonitoredNode):
                 left: another call may have an answer.
         """
         planner, voxel_map, state = self._ready()
-        news = self._news
+        status = self._last
         around = Surrounding(
-            self._interests.current(), T_map_start=news.home_pose, past_views=news.looks
+            self._interests.current(), T_map_start=status.home_pose, past_views=status.looks
         )
         choice = planner.choose(voxel_map, state, around)
         if self._error is not None:
@@ -327,16 +436,16 @@ class NextBestViewNode(MonitoredNode):
         planner, voxel_map, state = self._ready()
         return planner.planner.motion.traversability(voxel_map, state)
 
-    def _plan_way(self, place: KnownPlace) -> str:
-        """Plan the way to where the robot has stood, which exploration_status tells.
+    def _plan_to(self, place: KnownPlace) -> str:
+        """Plan the route to where the robot has stood, which exploration_status says.
 
         Raises:
             InfomapError: something that is needed has not arrived.
         """
         planner, voxel_map, state = self._ready()
         if not place.is_known:
-            raise ExplorationError(f"exploration_status has not told where {place.name} is")
-        return self._publish(planner.way_to(voxel_map, state, place))
+            raise ExplorationError(f"exploration_status has not said where {place.name} is")
+        return self._publish(planner.route_to(voxel_map, state, place))
 
     def _plan_arm(self) -> str:
         """Plan the arm's motion to the view planned last, from where the base has come to stand.
@@ -363,6 +472,9 @@ class NextBestViewNode(MonitoredNode):
         """Compare what is left of the planned route with the map as it is now."""
         self._is_checking = False
         if self._planner is None or self._target is None:
+            return
+        if self._tracker.origin != self._origin:
+            self._route_status.report("the map has been moved to another frame")
             return
         self._planner.planner.motion.keep_out = self._keep_out.current()
         try:
@@ -396,6 +508,11 @@ class NextBestViewNode(MonitoredNode):
         """
         voxel_map = self._map.voxel_map()
         robot, state = self._tracker.robot, self._tracker.state()
+        origin = self._tracker.origin
+        if not are_one_frame(voxel_map.origin, origin):
+            raise ExplorationError("the map has not been moved yet to the frame of camera_pose")
+        if origin != self._origin:  # what the planner remembers is of another frame
+            self._origin, self._planner, self._target = origin, None, None
         settings = task, config = self.config(TaskConfig), self.config(ViewPlannerConfig)
         if self._planner is not None and settings != self._settings:
             self._planner.planner.reconfigure(task, config)

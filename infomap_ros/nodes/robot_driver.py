@@ -2,9 +2,9 @@
 
 Arm and base have each a back end, chosen by a parameter: actions of ros2_control and Nav2, topics
 of trajectories, or velocities. A newer command takes the place of the one before; an empty
-trajectory or a path of less than two poses stops, as do ~/stop and the end of this node; where it
-is killed or hangs, a watchdog stops the robot. What became of each command is on motion_results,
-with the controller's own words.
+trajectory or a path of less than two poses stops, as do ~/stop, the end of this node, and the loss
+of the explorer, which watches what is on the way; where this node is killed or hangs, a watchdog
+stops the robot. What became of each command is on motion_results, with the controller's own words.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import time
 from functools import partial
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticArray
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from std_srvs.srv import Trigger
 
 from infomap_ros.errors import ConfigError
@@ -64,6 +64,14 @@ class RobotDriverNode(MonitoredNode):
         self._watchdog = Watchdog(self._reach(config)) if is_watched else None
         self.repeat(BEAT, self._beat)
         self.create_service(Trigger, "~/stop", self._on_stop)
+        self.listen(
+            DiagnosticStatus,
+            "exploration_status",
+            lambda _: None,  # that its publisher lives is all that counts
+            qos.alive(qos.latched()),
+            required=False,
+            on_lost=partial(self._stop, "the explorer was killed or hangs"),
+        )
         self.ends = partial(self._halt, "robot_driver was deactivated")
         self.get_logger().info(f"arm by {config.arm}, base by {config.base}")
 
@@ -104,11 +112,18 @@ class RobotDriverNode(MonitoredNode):
         if self._watchdog is not None:
             self._watchdog.beat(any(driver.is_active for driver in self._drivers))
 
-    def _on_stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        moving = [driver for driver in self._drivers if driver.is_active]
+    def _stop(self, cause: str) -> bool:
+        """Slow down and stand, whoever began it; returns whether this node did."""
+        moving = any(driver.is_active for driver in self._drivers)
         for driver in self._drivers:
-            driver.stop("~/stop was called")
-        words = "stopping" if moving else "nothing that this node began moves; all was told to stop"
+            driver.stop(cause)
+        return moving
+
+    def _on_stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        moving = self._stop("~/stop was called")
+        words = (
+            "stopping" if moving else "nothing that this node began moves; all was ordered to stop"
+        )
         response.success, response.message = True, words
         return response
 

@@ -22,6 +22,8 @@ from sensor_msgs.msg import JointState
 from infomap_ros.errors import ConfigError
 from infomap_ros.geometry.config import check_config, parameter, setting
 from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.localization.target.tag_board import TagBoardConfig
+from infomap_ros.localization.target.team_alignment import TeamTagsConfig
 from infomap_ros.messages import decode_joint_state, decode_pose_with_covariance
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
@@ -35,19 +37,30 @@ from infomap_ros.nodes.simulated.simulator_actions import (
 from infomap_ros.nodes.simulated.simulator_outputs import SimulatorOutputs, SimulatorOutputsConfig
 from infomap_ros.simulation.body.robot import find_description, read_description
 from infomap_ros.simulation.body.robot_account import RobotAccount
-from infomap_ros.simulation.multi_robot.turns import SharedTime
 from infomap_ros.simulation.sensor_schedule import TICK, SensorScheduleConfig
 from infomap_ros.simulation.simulator import Simulator, SimulatorConfig
-from infomap_ros.simulation.worlds.scenes import build_scene, describe_scene, scene_of
+from infomap_ros.simulation.turns import SharedTime
+from infomap_ros.simulation.worlds.scenes import (
+    build_scene,
+    describe_scene,
+    scene_of,
+    without_target,
+)
 
 # Other robots in the world of the simulated one, each simulated by a node of its own.
 #
-# They are heard on their ground_truth topics: where each truly is, its joints, and what time it is
+# Their ground_truth topics say where each truly is, its joints, and what time it is
 # there. All simulations of one world keep together in time.
 
-_JOINING = 2.0  # [s] in which others are heard before time begins
+_JOINING = 2.0  # [s] in which others are received before time begins
 _PAUSE = 0.002  # [s] between two looks at whether the others have come
-_REPEAT = 0.2  # [s] after which the own state is told again while waiting
+# By how much simulated time may be ahead of that of another robot, at least two periods of its
+# state [s].
+_TIME_WINDOW = 0.1
+# A simulator that has sent nothing for so long is not waited for: its robot stays where it stood.
+# When it is back, it goes on at the time of the others [s].
+_SILENCE = 8.0
+_REPEAT = 0.2  # [s] after which the own state is sent again while waiting
 
 
 @dataclass(frozen=True)
@@ -63,21 +76,8 @@ class TeammatesConfig:
         "Namespaces of the other robots in this world, each with a simulator of its own; the same "
         "world, seed and start_time must be given to all.",
     )
-    time_window: float = setting(
-        0.1,
-        "By how much simulated time may be ahead of that of another robot; at least two periods "
-        "of state_rate.",
-        unit="s",
-        low=0.02,
-        high=10.0,
-    )
-    teammate_silence: float = setting(
-        8.0,
-        "A simulator that was not heard for so long is not waited for: its robot stays where it "
-        "stood. When it is back, it goes on at the time of the others.",
-        unit="s",
-        low=1.0,
-        high=600.0,
+    teammate_ids: tuple[int, ...] = parameter(
+        (), "For each teammate its robot_id, by which it carries tags of team_tags; none if empty."
     )
 
     def __post_init__(self) -> None:
@@ -85,6 +85,16 @@ class TeammatesConfig:
         names = [name.strip("/") for name in self.teammates]
         if len(set(names)) < len(names) or not all(names):
             raise ConfigError("teammates", self.teammates, "different namespaces")
+        if len(self.teammate_ids) not in (0, len(names)):
+            raise ConfigError(
+                "teammate_ids", self.teammate_ids, f"one for each of {names}, or none"
+            )
+
+    def boards(self, tags: TeamTagsConfig) -> dict[str, TagBoardConfig]:
+        """The tags that teammates carry, by their names."""
+        carried = {one.robot: one.tags.board for one in tags.carried()}
+        pairs = zip(teammate_names(self), map(str, self.teammate_ids), strict=False)
+        return {name: carried[robot] for name, robot in pairs if robot in carried}
 
 
 class SimulatorTeammates:
@@ -100,12 +110,12 @@ class SimulatorTeammates:
     def __init__(self, node: MonitoredNode, simulator: Simulator) -> None:
         config = node.config(TeammatesConfig)
         self._node, self._simulator = node, simulator
-        self._time = SharedTime(config.time_window, config.teammate_silence)
-        self._news: queue.SimpleQueue[tuple[str, Callable[[], None]]] = queue.SimpleQueue()
+        self._time = SharedTime(_TIME_WINDOW, _SILENCE)
+        self._received: queue.SimpleQueue[tuple[str, Callable[[], None]]] = queue.SimpleQueue()
         self._poses: dict[str, FloatArray] = {}
         self._joints: dict[str, dict[str, float]] = {}
         self._names = teammate_names(config)
-        self._told = 0.0
+        self._announced = 0.0
         for name in self._names:
             for kind, topic, receive in (
                 (PoseWithCovarianceStamped, "base_pose", self._on_pose),
@@ -119,7 +129,7 @@ class SimulatorTeammates:
         """Begin at the time of the others, as far as they are there.
 
         Args:
-            publish: tells the own state.
+            publish: sends the own state.
         """
         end = time.monotonic() + _JOINING
         while self._names and time.monotonic() < end:
@@ -130,9 +140,9 @@ class SimulatorTeammates:
                 break
 
     def update(self) -> None:
-        """Put teammates where they were last heard to be; skip time that was missed."""
-        while not self._news.empty():
-            topic, take = self._news.get()
+        """Put teammates where they last were; skip time that was missed."""
+        while not self._received.empty():
+            topic, take = self._received.get()
             self._node.guard(topic, take)
         for name in self._poses.keys() & self._joints.keys():
             place = partial(
@@ -148,25 +158,25 @@ class SimulatorTeammates:
         """Wait a moment where others are behind; whether that was so.
 
         Args:
-            publish: tells the own state again, in case that another one has missed it.
+            publish: sends the own state again, in case that another one has missed it.
         """
         now = time.monotonic()
         if self._time.may_step(self._simulator.time, now):
             return False
-        if now - self._told > _REPEAT:
-            self._told = now
+        if now - self._announced > _REPEAT:
+            self._announced = now
             publish()
         time.sleep(_PAUSE)
         return True
 
     def _queue(self, topic: str, receive: Callable[[Any], None], message: Any) -> None:
-        self._news.put((topic, partial(receive, message)))
+        self._received.put((topic, partial(receive, message)))
 
     def _on_pose(self, name: str, message: PoseWithCovarianceStamped) -> None:
         pose = decode_pose_with_covariance(message)
         self._poses[name] = pose.transform
         elapsed = pose.stamp * 1e-9 - self._simulator.config.start_time
-        self._time.hear(name, elapsed, time.monotonic())
+        self._time.receive(name, elapsed, time.monotonic())
 
     def _on_joints(self, name: str, message: JointState) -> None:
         record = decode_joint_state(message)
@@ -196,6 +206,9 @@ class SimulatorNodeConfig:
     world_seed: int = parameter(1, "Seed of everything random in the world.", low=0)
     world_size: float = parameter(
         0.0, "Size of the world; 0 for its usual size.", unit="m", low=0.0, high=100.0
+    )
+    world_target: bool = parameter(
+        True, "Whether the world has a board with tags, where it can do without."
     )
     description: str = parameter(
         "config/rover.urdf",
@@ -241,6 +254,7 @@ class SimulatorNode(MonitoredNode):
         (SimulatorInputsConfig, ""),
         (SensorScheduleConfig, ""),
         (TeammatesConfig, ""),
+        (TeamTagsConfig, "team_tags."),
         (SimulatorConfig, ""),
         (LockstepConfig, ""),
     )
@@ -267,13 +281,16 @@ class SimulatorNode(MonitoredNode):
         """The robot in its world, and the description of the world."""
         config = self._config
         size: dict[str, Any] = {"size": config.world_size} if config.world_size else {}
-        scene = describe_scene(*scene_of(config.world, config.world_seed, **size))
+        given = size if config.world_target else {**size, **without_target(config.world)}
+        scene = describe_scene(*scene_of(config.world, config.world_seed, **given))
         world = build_scene(scene)
         if world.note:
             self.get_logger().info(world.note)
         description = read_description(find_description(config.description))
-        others = dict.fromkeys(teammate_names(self.config(TeammatesConfig)), description)
-        simulator = Simulator(world, description, self._simulator_config(), others)
+        mates = self.config(TeammatesConfig)
+        others = dict.fromkeys(teammate_names(mates), description)
+        tags = mates.boards(self.config(TeamTagsConfig))
+        simulator = Simulator(world, description, self._simulator_config(), others, tags)
         for part in simulator.mended:
             self.get_logger().warning(part)
         self.get_logger().info(f"world '{config.world}', seed {config.world_seed}")
@@ -312,7 +329,7 @@ class SimulatorNode(MonitoredNode):
                 if self._conductor is not None and self._outputs.has_measured:
                     self._conductor.settle(self._simulator.stamp)
                 self.guard("state_file", self._account.save_when_due)
-                self._inputs.tell_problem()
+                self._inputs.report_problem()
                 if self._conductor is None:
                     time.sleep(pace.wait(TICK))
         finally:

@@ -40,7 +40,6 @@ from infomap_ros.nodes.team.map_listener import MapListener, MapListenerConfig
 from infomap_ros.nodes.team.team_radio import TeamRadioConfig
 from infomap_ros.nodes.team.team_topics import TeamIdentityConfig, listen_to_agents
 from infomap_ros.team.agent_board import AgentBoard
-from infomap_ros.team.agents import AgentBoardConfig
 from infomap_ros.team.config import TeamConfig
 from infomap_ros.viewer import LivePage, PageConfig
 from infomap_ros.viewer.run_panel import InterestBox, map_figures
@@ -52,7 +51,7 @@ _COUNTS = {"views": "views", "surface voxels": "surface voxels", "failures": "fa
 
 
 class PlanListener:
-    """Listens to view_candidates, next_view, the planned way and exploration_status.
+    """Listens to view_candidates, next_view, the planned path and exploration_status.
 
     Args:
         node: that listens.
@@ -70,13 +69,13 @@ class PlanListener:
     ) -> None:
         self._page, self._camera = page, camera
         self._state = self._reason = ""
-        heard: tuple[tuple[type, str, Callable[[Any], None]], ...] = (
+        inputs: tuple[tuple[type, str, Callable[[Any], None]], ...] = (
             (MarkerArray, "view_candidates", self._on_candidates),
             (PoseStamped, "next_view", self._on_view),
-            (Path, f"{planner}/base_path", self._on_way),
+            (Path, f"{planner}/base_path", self._on_path),
             (DiagnosticStatus, "exploration_status", self._on_status),
         )
-        for kind, topic, handle in heard:
+        for kind, topic, handle in inputs:
             node.listen(kind, topic, handle, qos.latched(), required=False)
 
     def _on_candidates(self, message: MarkerArray) -> None:
@@ -86,9 +85,9 @@ class PlanListener:
         view = decode_pose(message).transform
         self._page.views.show_chosen(view, self._camera(), self._reason)
 
-    def _on_way(self, message: Path) -> None:
+    def _on_path(self, message: Path) -> None:
         places = [decode_pose(each).transform[:3, 3] for each in message.poses]
-        self._page.views.show_way(np.array(places).reshape(-1, 3))
+        self._page.views.show_path(np.array(places).reshape(-1, 3))
 
     def _on_status(self, message: DiagnosticStatus) -> None:
         values = {pair.key: pair.value for pair in message.values}
@@ -131,7 +130,7 @@ def _considered(marker: Marker) -> ConsideredView:
 
 
 def _figures(values: dict[str, str]) -> dict[str, str]:
-    """Of exploration_status, as the page tells them."""
+    """Of exploration_status, as the page shows them."""
     figures = {name: values[key] for key, name in _COUNTS.items() if key in values}
     figures |= {"distance": f"{values['distance [m]']} m"} if "distance [m]" in values else {}
     known, precise, sigma = (_number(values.get(key, "")) for key in (*_SHARES, "mean sigma [m]"))
@@ -229,7 +228,6 @@ class WebViewerNode(MonitoredNode):
         (RobotTrackerConfig, ""),
         (AssumedPoseConfig, ""),
         (JointBufferConfig, "joints."),
-        (AgentBoardConfig, "agents."),
     )
 
     def __init__(self, **node_arguments: Any) -> None:
@@ -241,9 +239,8 @@ class WebViewerNode(MonitoredNode):
         self._page = LivePage(title, self.config(PageConfig), orders, interest.publish)
         self._tracker = RobotTracker(self, required=False)
         who = self.config(TeamIdentityConfig)
-        memory = self.config(AgentBoardConfig)
-        self._board = AgentBoard(who.robot_id, None, memory, who.team, who.read_key())
-        listen_to_agents(self, frame, lambda text: self._board.hear(text, time.monotonic()))
+        self._board = AgentBoard(who.robot_id, None, who.team, who.read_key())
+        listen_to_agents(self, frame, lambda text: self._board.receive(text, time.monotonic()))
         PlanListener(self, self._page, _PLANNER, self._camera)
         self._worker = self.start_worker(1)
         self._map = MapListener(self, self._worker, required=False, on_update=self._note_change)
@@ -285,6 +282,7 @@ class WebViewerNode(MonitoredNode):
             self._page.robot.show_camera(state.T_map_camera, self._camera())
         elif pose is not None:
             self._page.robot.show_camera(pose.transform, self._camera())
+        self._board.origin = self._tracker.origin
         self._page.team.show(self._board.present(now))
 
     def _draw_map(self) -> None:

@@ -19,7 +19,7 @@ from infomap_ros.geometry import (
     make_transform,
 )
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.localization.dead_reckoning import told_base, told_camera
+from infomap_ros.localization.dead_reckoning import user_base, user_camera
 from infomap_ros.localization.fiducials.range_view import RangeView
 from infomap_ros.localization.filter.config import Fiducials, KeptPoses
 from infomap_ros.localization.filter.motion_prior import KinematicMotion, MotionPrior, RobotPosture
@@ -33,7 +33,7 @@ from infomap_ros.mapping import VoxelMap
 TARGET_ORIGIN = 1
 """Names the origin of each map whose frame is that of the target: it is the same whoever begins."""
 
-_FROZEN_WAY, _FROZEN_TURN = 0.03, 0.03  # [m, rad]: beyond what odometry drifts in an image or two
+_FROZEN_DISTANCE, _FROZEN_TURN = 0.03, 0.03  # [m, rad]: beyond the drift in an image or two
 
 _LEAST_SIGMA = 1e-4
 """Of a pose that defines the map [m and rad]: in messages a covariance of zero means unknown."""
@@ -49,16 +49,18 @@ class CameraLocalizerConfig:
         detector: of the target, None where there is none.
         start_tilt: how far the camera looks down at the beginning, where neither odometry nor
             target say what is up [rad].
+        robot: id of the robot; 0 for one that works alone.
     """
 
     localizer: LocalizerConfig
     motion: KinematicMotion
     detector: TargetDetector | None
     start_tilt: float = 0.0
+    robot: int = 0
 
 
 class CameraLocalizer:
-    """Makes a localizer when the camera is known, and tells it how the robot has moved."""
+    """Makes a localizer when the camera is known, and gives it how the robot has moved."""
 
     def __init__(self, config: CameraLocalizerConfig) -> None:
         self._config = config
@@ -115,13 +117,13 @@ class CameraLocalizer:
             return
         moved = invert_transform(still[1].T_odom_camera) @ posture.T_odom_camera
         turn = float(Rotation.from_matrix(moved[:3, :3]).magnitude())
-        if float(np.linalg.norm(moved[:3, 3])) > _FROZEN_WAY or turn > _FROZEN_TURN:
+        if float(np.linalg.norm(moved[:3, 3])) > _FROZEN_DISTANCE or turn > _FROZEN_TURN:
             raise SensorFaultError("images are frozen while odometry moves")
 
     def _prior(self, posture: RobotPosture | None) -> MotionPrior | None:
         """Expected motion since the last view; None where odometry does not tell.
 
-        The kinematics err at the two ends of a way. Where views on the way have not told the pose,
+        The kinematics err at the two ends of a path. Where views on it have not given the pose,
         their errors there cancel: they are of the end of one part and the beginning of the next.
         """
         if self._posture is None or posture is None:
@@ -134,8 +136,18 @@ class CameraLocalizer:
         self._localizer = self._posture = self._saved = self._still = None
         self._is_tracking = True
 
-    def move_map(self, T_new_old: FloatArray, covariance: FloatArray) -> None:
+    @property
+    def origin(self) -> int:
+        """Names the frame of the map, as in `PoseUncertainty`; 0 before the first view."""
+        return self._origin
+
+    def move_map(self, T_new_old: FloatArray, covariance: FloatArray, origin: int = 0) -> None:
         """Put the map's frame elsewhere; see `Localizer.move_map`.
+
+        Args:
+            T_new_old: the frame as it was, in the new one, shape (4, 4).
+            covariance: of that, in the new frame, shape (6, 6).
+            origin: names the new frame where that is another robot's; 0 where it has the old name.
 
         Raises:
             InvalidInputError: there is no map yet, it is that of a target, or that is no move.
@@ -143,15 +155,16 @@ class CameraLocalizer:
         if self._localizer is None:
             raise InvalidInputError("T_new_old", "there is no map yet")
         self._localizer.move_map(T_new_old, covariance)
+        self._origin = origin or self._origin
 
-    def place_base(self, told: PoseRecord) -> FloatArray | None:
+    def place_base(self, given: PoseRecord) -> FloatArray | None:
         """Take from a user where the base of the robot is.
 
         A camera that is lost is there in the map as it is. Else it is known where it is, and the
-        frame of the map is put so that the base is where it was told.
+        frame of the map is put so that the base is where it was said to be.
 
         Args:
-            told: pose of the base in the map.
+            given: pose of the base in the map.
 
         Returns:
             How the map's frame has moved, ``T_new_old``, shape (4, 4); None where it has not.
@@ -165,11 +178,11 @@ class CameraLocalizer:
         T_base_camera = self._posture.T_base_camera
         T_map_base = self._localizer.last_pose @ invert_transform(T_base_camera)
         if self._localizer.is_lost:
-            camera = told_camera(told, T_map_base, T_base_camera)
+            camera = user_camera(given, T_map_base, T_base_camera)
             assert camera.covariance is not None
             self._localizer.place_camera(camera.transform, camera.covariance)
             return None
-        T_new_old = told_base(told, T_map_base) @ invert_transform(T_map_base)
+        T_new_old = user_base(given, T_map_base) @ invert_transform(T_map_base)
         self._localizer.move_map(T_new_old, np.zeros((6, 6)))
         return T_new_old
 
@@ -204,7 +217,8 @@ class CameraLocalizer:
         self._camera = view.camera
         saved, self._saved = self._saved, None
         if saved is None:
-            self._origin = TARGET_ORIGIN if self._config.detector is not None else origin_of(view)
+            is_target = self._config.detector is not None
+            self._origin = TARGET_ORIGIN if is_target else origin_of(view, self._config.robot)
             return
         if saved.stamp >= view.stamp:
             saved = saved.without_pose()
@@ -221,14 +235,15 @@ class CameraLocalizer:
         return Localizer(camera, self._config.localizer, self._config.detector, start, covariance)
 
 
-def origin_of(view: RangeView) -> int:
-    """Names the origin of a map by the view with which it begins.
+def origin_of(view: RangeView, robot: int = 0) -> int:
+    """Names the origin of a map by the view with which it begins, and the robot that began it.
 
     A bag that starts again begins with the same view, so its map goes on; a camera that begins
-    anew elsewhere sees another image at another time.
+    anew elsewhere sees another image at another time. Of two robots of a team the smaller id has
+    the smaller origin, and that of a target is smaller than all.
     """
     named = zlib.crc32(np.ascontiguousarray(view.image).tobytes(), view.stamp & 0xFFFFFFFF)
-    return max(named, TARGET_ORIGIN + 1)
+    return robot << 16 | named & 0xFFFF if robot else max(named, TARGET_ORIGIN + 1)
 
 
 def looking_along_x(tilt: float) -> FloatArray:
@@ -239,3 +254,29 @@ def looking_along_x(tilt: float) -> FloatArray:
     """
     down = Rotation.from_euler("y", tilt).as_matrix()
     return make_transform(down @ [[0, 0, 1], [-1, 0, 0], [0, -1, 0]], [0.0, 0.0, 0.0])
+
+
+_LEAST_CORRECTION = 0.002  # motion of a keyframe that matters [m], and as many radians
+
+
+class KeyframeChanges:
+    """Remembers the poses that were given out last."""
+
+    def __init__(self) -> None:
+        self._last: KeptPoses | None = None
+
+    def after(self, result: LocalizedCamera, kept: KeptPoses | None) -> KeptPoses | None:
+        """The keyframes after a view, where they have changed since they were given out last."""
+        if kept is None or not len(kept):
+            return None
+        if result.is_keyframe or self._last is None or self._have_moved(self._last, kept):
+            self._last = kept
+            return kept
+        return None
+
+    def _have_moved(self, before: KeptPoses, now: KeptPoses) -> bool:
+        _, old, new = np.intersect1d(before.stamps, now.stamps, return_indices=True)
+        change = now.transforms[new] - before.transforms[old]
+        distance = np.linalg.norm(change[:, :3, 3], axis=1).max(initial=0.0)
+        angle = np.linalg.norm(change[:, :3, :3], axis=(1, 2)).max(initial=0.0) / np.sqrt(2.0)
+        return bool(max(distance, angle) > _LEAST_CORRECTION)

@@ -17,22 +17,25 @@ from infomap_ros.geometry import (
     PlacedSolid,
     PointCloudRecord,
     float_array,
+    invert_transform,
     make_transform,
 )
 from infomap_ros.geometry.assumed_pose import AssumedPoseConfig
 from infomap_ros.geometry.organized import fit_pinhole_camera
+from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.mapping.correction.correctable_map import CorrectableMap
-from infomap_ros.mapping.correction.reintegration import ReintegrationConfig, ReintegrationReport
+from infomap_ros.mapping.correction.reintegration import ReintegrationReport
 from infomap_ros.mapping.correction.scan_store import ScanStore, ScanStoreConfig
 from infomap_ros.mapping.scans.body import BodyFilterConfig, body_mask
 from infomap_ros.mapping.scans.integration import IntegrationReport
 from infomap_ros.messages.motions import KeyframePoses
 from infomap_ros.pipeline.scan_synchronizer import Scan
+from infomap_ros.team.replica import moved_map
 
 _MOST_WAITING = 20
 """Corrections that wait for the one at hand; beyond that the oldest is left out, as a later one
-tells the poses of all keyframes anew."""
+gives the poses of all keyframes anew."""
 _NO_SCANS = ScanStoreConfig(memory=0.0)
 _AS_IT_IS = BodyFilterConfig(margin=0.0, sigmas=0.0)  # a body that is not grown
 
@@ -46,7 +49,6 @@ class MapBuilder:
     Args:
         voxel_map: what it holds already stays where it is.
         store: how many scans are kept, None for none.
-        correction: when scans follow corrected poses.
         body: how far bodies are grown.
         assumed: covariance of poses that have none.
 
@@ -60,13 +62,13 @@ class MapBuilder:
         self,
         voxel_map: VoxelMap,
         store: ScanStoreConfig | None = None,
-        correction: ReintegrationConfig | None = None,
         body: BodyFilterConfig | None = None,
         assumed: AssumedPoseConfig | None = None,
     ) -> None:
-        self._store, self._correction = store, correction or ReintegrationConfig()
+        self._store = store
         self._body, self._assumed = body or BodyFilterConfig(), assumed or AssumedPoseConfig()
         self._keyframes: deque[KeyframePoses] = deque(maxlen=_MOST_WAITING)
+        self._last: KeyframePoses | None = None
         self.points_cut = self.assumed_poses = self.corrections = 0
         self.replace(voxel_map)
 
@@ -97,9 +99,9 @@ class MapBuilder:
         Where it names its origin, only poses of that origin are fused from now on; else the first
         pose that names one does it.
         """
-        self._origin = voxel_map.origin
+        self._origin, self._last = voxel_map.origin, None
         store = self._store or _NO_SCANS
-        self._corrected = CorrectableMap(voxel_map, store, self._correction)
+        self._corrected = CorrectableMap(voxel_map, store)
         self._keyframes.clear()
 
     def fuse(self, scan: Scan[PointCloudRecord]) -> IntegrationReport:
@@ -126,6 +128,7 @@ class MapBuilder:
             covariance,
             camera,
             cloud.error_correlation,
+            pose.child_frame_id,
         )
         self._origin = self._origin or origin
         return report
@@ -168,13 +171,50 @@ class MapBuilder:
     def add_keyframes(self, keyframes: KeyframePoses) -> None:
         """Take the poses of all keyframes as they are known now; `correct_more` acts on them.
 
+        Where the same keyframes are given in another frame, all of the map is moved there at once.
+
         Raises:
+            CapacityError: there is no room to move the map; it is as before.
             FrameError: they are in a map of another origin.
             InvalidInputError: a pose or a covariance is none, or the stamps do not fit.
         """
+        if keyframes.origin != self._origin and (move := self._move_to(keyframes)) is not None:
+            self._change_frame(keyframes, move)
+            return
         self._check_origin("keyframe_poses", keyframes.origin)
+        self._last = keyframes
         self._keyframes.append(keyframes)
         self._begin_correction()
+
+    def _move_to(self, keyframes: KeyframePoses) -> FloatArray | None:
+        """How the map has moved, by the newest keyframe known in both frames; None without one."""
+        last = self._last
+        if last is None or not self._origin or not keyframes.origin:
+            return None
+        _, old, new = np.intersect1d(last.stamps, keyframes.stamps, return_indices=True)
+        if not len(old):
+            return None
+        T_old_camera, T_new_camera = last.transforms[old[-1]], keyframes.transforms[new[-1]]
+        return np.asarray(T_new_camera @ invert_transform(T_old_camera))
+
+    def _change_frame(self, keyframes: KeyframePoses, T_new_old: FloatArray) -> None:
+        """Put the map into the frame of keyframes; no scan comes in between.
+
+        Scans follow their keyframes; where some are not kept any more, the voxels move as they are.
+        """
+        corrected = self._corrected
+        if self.keeps_scans and not self.scans.base.known_voxels:
+            self.correct()
+            corrected.receive_poses(
+                keyframes.stamp, keyframes.stamps, keyframes.transforms, keyframes.covariances
+            )
+            corrected.correct()
+        else:
+            moved = moved_map(self.map, T_new_old)
+            moved.sessions = self.map.sessions
+            self.replace(moved)
+        self.corrections += 1
+        self._origin, self._last = keyframes.origin, keyframes
 
     def correct_more(self) -> ReintegrationReport | None:
         """Do a part of the correction, as long as about one scan takes.
@@ -204,12 +244,12 @@ class MapBuilder:
             self.correct_more()
 
     def _begin_correction(self) -> None:
-        """Look at all keyframes that were told meanwhile: the newest poses count."""
+        """Look at all keyframes that were given meanwhile: the newest poses count."""
         if self._corrected.is_correcting or not self._keyframes:
             return
         while self._keyframes:
-            heard = self._keyframes.popleft()
-            self._corrected.hear(heard.stamp, heard.stamps, heard.transforms, heard.covariances)
+            new = self._keyframes.popleft()
+            self._corrected.receive_poses(new.stamp, new.stamps, new.transforms, new.covariances)
         self._corrected.begin_correction()
 
     def _check_origin(self, what: str, origin: int) -> None:
@@ -219,9 +259,9 @@ class MapBuilder:
             FrameError: they are not, or do not say it although those before did.
         """
         if self._origin and origin != self._origin:
-            told = f"the map of origin {origin:08x}" if origin else "a map of unknown origin"
+            named = f"the map of origin {origin:08x}" if origin else "a map of unknown origin"
             raise FrameError(
-                f"{what} in {told}, this map's origin is {self._origin:08x}; "
+                f"{what} in {named}, this map's origin is {self._origin:08x}; "
                 "a reset begins it anew, localization's resume goes on in it"
             )
 

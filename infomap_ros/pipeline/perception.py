@@ -13,7 +13,6 @@ from typing import Protocol
 from infomap_ros.errors import BagError, InfomapError
 from infomap_ros.geometry import CameraInfoRecord, ImageRecord, Record
 from infomap_ros.localization.fiducials.range_view import DepthView, RangeView, StereoView
-from infomap_ros.localization.fiducials.sparse_stereo import SparseStereoConfig
 from infomap_ros.pipeline.image_synchronizer import ImageSet, ImageSynchronizer, intensity_pixels
 from infomap_ros.pipeline.range_estimator import (
     DepthRangeEstimator,
@@ -60,21 +59,12 @@ class StereoViewEstimator:
     Args:
         config: of the dense sensor.
         rectify: the images are raw.
-        sparse: how single pixels are matched.
         is_dense: whether the dense range cloud is wanted.
     """
 
-    def __init__(
-        self,
-        config: StereoConfig,
-        *,
-        rectify: bool,
-        sparse: SparseStereoConfig | None = None,
-        is_dense: bool = False,
-    ) -> None:
+    def __init__(self, config: StereoConfig, *, rectify: bool, is_dense: bool = False) -> None:
         self._is_dense = is_dense
         self._pairs = PairRectifier(config, rectify=rectify)
-        self._sparse = sparse or SparseStereoConfig()
 
     def measure(self, images: ImageSet) -> FramedView:
         """Rectify a pair; without the dense range cloud nothing is matched yet.
@@ -83,7 +73,7 @@ class StereoViewEstimator:
             InfomapError: images or calibrations cannot be used.
         """
         left, right, sensor = self._pairs.prepare(images)
-        view = StereoView(images.stamp, left, right, sensor, self._sparse)
+        view = StereoView(images.stamp, left, right, sensor)
         measurement = None
         if self._is_dense:
             measurement = measure_pair(images, left, right, sensor)

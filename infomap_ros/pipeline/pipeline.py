@@ -22,8 +22,7 @@ from infomap_ros.localization.filter.config import KeptPoses
 from infomap_ros.localization.localized_camera import LocalizedCamera
 from infomap_ros.mapping.scans.integration import IntegrationReport
 from infomap_ros.messages.motions import KeyframePoses
-from infomap_ros.pipeline.camera_localizer import CameraLocalizer
-from infomap_ros.pipeline.keyframe_changes import KeyframeChanges
+from infomap_ros.pipeline.camera_localizer import CameraLocalizer, KeyframeChanges
 from infomap_ros.pipeline.map_builder import MapBuilder
 from infomap_ros.pipeline.perception import FramedView, Seen
 from infomap_ros.pipeline.range_estimator import RangeMeasurement
@@ -179,14 +178,14 @@ class Pipeline:
         if fusion is None or result.T_map_camera is None:
             return
         transform, frame = as_sent(result.T_map_camera), fusion.map_frame
-        told = result.stamp, frame, transform, result.covariance
-        fusion.scans.add_pose(PoseRecord(*told, uncertainty=result.uncertainty))
+        pose = result.stamp, frame, transform, result.covariance
+        fusion.scans.add_pose(PoseRecord(*pose, uncertainty=result.uncertainty))
         yield from self._fuse()
         if (kept := localization.changes.after(result, located.kept)) is not None:
             sent = np.array([as_sent(pose) for pose in kept.transforms])
             origin = 0 if result.uncertainty is None else result.uncertainty.origin
-            told_kept = kept.stamps, sent, kept.covariances, origin
-            keyframes = KeyframePoses(result.stamp, frame, *told_kept)
+            kept_poses = kept.stamps, sent, kept.covariances, origin
+            keyframes = KeyframePoses(result.stamp, frame, *kept_poses)
             fusion.builder.add_keyframes(keyframes)
         fusion.builder.correct(fusion.pace)
 

@@ -17,21 +17,19 @@ class RobotBody:
     Args:
         robot: by its description; None where that is not known yet.
         config: of the joint positions that are kept.
-        are_joints_told: whether joint states come, so that it is worth waiting for the first.
+        are_joints_sent: whether joint states come, so that it is worth waiting for the first.
         required: whether a description that does not tell where the body is is an error.
 
     Attributes:
         robot: as above.
         newest_stamp: of the last joint state [ns].
-        unknown: why the place of the body in the last scan was not known; empty where it was, or
-            where there is no description.
     """
 
     def __init__(
         self,
         robot: RobotModel | None = None,
         config: JointBufferConfig | None = None,
-        are_joints_told: Callable[[], bool] = lambda: True,
+        are_joints_sent: Callable[[], bool] = lambda: True,
         *,
         required: bool = True,
     ) -> None:
@@ -39,8 +37,16 @@ class RobotBody:
         self._joints = JumpingBuffer(lambda: JointBuffer(limits), round(limits.max_gap * 1e9))
         self.robot = robot
         self.newest_stamp = 0
-        self.unknown = ""
-        self._are_joints_told, self._is_required = are_joints_told, required
+        self._unknown: dict[str, str] = {}
+        self._are_joints_sent, self._is_required = are_joints_sent, required
+
+    @property
+    def unknown(self) -> str:
+        """Why the place of the body in the last scan of a sensor was not known.
+
+        Empty where it was for all sensors, or where there is no description.
+        """
+        return "; ".join(sorted(set(self._unknown.values())))
 
     def add(self, state: JointStateRecord) -> None:
         """Take a joint state."""
@@ -62,7 +68,7 @@ class RobotBody:
     @property
     def _has_joints(self) -> bool:
         """Whether joint states have come, or will."""
-        return self.newest_stamp > 0 or self._are_joints_told()
+        return self.newest_stamp > 0 or self._are_joints_sent()
 
     def solids_in(self, frame: str, stamp: int) -> list[PlacedSolid]:
         """The body's solids at a time, placed in a frame; none where their place is not known.
@@ -70,7 +76,7 @@ class RobotBody:
         `unknown` says why it is not.
 
         Args:
-            frame: optical frame of the camera.
+            frame: of the sensor.
             stamp: [ns].
 
         Raises:
@@ -78,11 +84,12 @@ class RobotBody:
             RobotModelError: the body is required, and the description lacks the frame, or a joint
                 has no position.
         """
-        self.unknown, robot = "", self.robot
+        self._unknown.pop(frame, None)
+        robot = self.robot
         if robot is None:
             return []
         if robot.joints and not self._has_joints:
-            self.unknown = "nobody publishes joint_states"
+            self._unknown[frame] = "nobody publishes joint_states"
             return []
         positions = self._joints.at(stamp) if robot.joints else {}
         try:
@@ -90,7 +97,7 @@ class RobotBody:
         except RobotModelError as error:
             if self._is_required:
                 raise
-            self.unknown = str(error)
+            self._unknown[frame] = str(error)
             return []
 
     def others_have_jumped(self, stamp: int) -> None:

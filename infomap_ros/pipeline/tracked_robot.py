@@ -272,8 +272,8 @@ class TrackedRobot:
         seconds = 1e-9 * (last.stamp - first.stamp)
         moved = invert_transform(first.transform) @ last.transform
         turn = Rotation.from_matrix(moved[:3, :3]).magnitude()
-        way = max(float(np.linalg.norm(moved[:3, 3])), float(turn))
-        return way / seconds if seconds > 0.0 else 0.0
+        change = max(float(np.linalg.norm(moved[:3, 3])), float(turn))
+        return change / seconds if seconds > 0.0 else 0.0
 
     def joint_positions(self) -> dict[str, float]:
         """Newest position of each joint, by name [rad or m]; empty before the first."""

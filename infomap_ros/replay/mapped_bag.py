@@ -21,10 +21,10 @@ from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.mapping.files.pictures import draw_map_views
 from infomap_ros.replay.bags.reader import BagReader, Recording
-from infomap_ros.replay.localizing.localize_run import LocalizeOptions, LocalizeRun, Trajectory
-from infomap_ros.replay.mapping.map_files import PAGE_FILE, write_map_files
-from infomap_ros.replay.mapping.map_inputs import MapOptions
-from infomap_ros.replay.mapping.map_run import MapRun
+from infomap_ros.replay.localize_run import LocalizeOptions, LocalizeRun, Trajectory
+from infomap_ros.replay.map_files import PAGE_FILE, write_map_files
+from infomap_ros.replay.map_inputs import MapOptions
+from infomap_ros.replay.map_run import MapRun
 from infomap_ros.replay.sequences import SequenceOptions, SequenceReader, find_sequence
 
 __all__ = ["Recording", "open_recording"]

@@ -13,8 +13,9 @@ from pathlib import Path
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline, PchipInterpolator
+from scipy.spatial.transform import Rotation
 
-from infomap_ros.errors import ConfigError
+from infomap_ros.errors import ConfigError, RobotModelError
 from infomap_ros.geometry import (
     CameraInfoRecord,
     ImageRecord,
@@ -24,13 +25,15 @@ from infomap_ros.geometry import (
     Record,
     TextRecord,
     TransformRecord,
+    invert_transform,
     perturb_transform,
+    transform_points,
 )
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.resources import find_share
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.replay.bags.writer import BagWriter
-from infomap_ros.simulation.body.chassis import Chassis
+from infomap_ros.simulation.body.base_motion import level_pose
 from infomap_ros.simulation.body.robot import (
     LEFT_OPTICAL_FRAME,
     RIGHT_OPTICAL_FRAME,
@@ -43,12 +46,84 @@ from infomap_ros.simulation.body.wheel_odometry import Odometry, OdometryConfig
 from infomap_ros.simulation.cameras.rendering import Renderer
 from infomap_ros.simulation.cameras.stereo_camera import (
     ImageSensor,
-    ImageSensorConfig,
     StereoCamera,
     StereoCameraConfig,
 )
 from infomap_ros.simulation.worlds.builder import World
 from infomap_ros.simulation.worlds.scenes import SceneConfig, build_scene, describe_scene
+from infomap_ros.simulation.worlds.terrain import Terrain
+
+import mujoco  # isort: skip  # after the backend has been chosen
+
+WHEEL_SUFFIX = "_wheel"
+_SETTLING_STEPS = 4
+
+
+class Chassis:
+    """Wheels of a robot and the pose in which they stand on a terrain.
+
+    Args:
+        model: the compiled world.
+        data: its state; the robot is moved by it.
+        robot: the robot in it; links named ``*_wheel`` are its wheels.
+        prefix: as given to `robot.add_robot`.
+
+    Raises:
+        RobotModelError: the robot has fewer than three wheels.
+    """
+
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        data: mujoco.MjData,
+        robot: RobotState,
+        prefix: str = "rover/",
+    ) -> None:
+        names = [model.body(index).name for index in range(model.nbody)]
+        self.wheels = tuple(
+            name[len(prefix) :]
+            for name in names
+            if name.startswith(prefix) and name.endswith(WHEEL_SUFFIX)
+        )
+        if len(self.wheels) < 3:
+            raise RobotModelError(f"the robot has {len(self.wheels)} wheels, expected at least 3")
+        robot.place(np.eye(4), {})
+        self._axles = np.stack([robot.frame(wheel)[:3, 3] for wheel in self.wheels])
+        first_geom = int(model.body(prefix + self.wheels[0]).geomadr[0])
+        self.wheel_radius = float(model.geom_size[first_geom, 0])
+
+    def rest(self, terrain: Terrain, x: float, y: float, heading: float) -> FloatArray:
+        """Pose in which the wheels stand on the ground, in the least squares sense.
+
+        Args:
+            terrain: the ground.
+            x: of the base's origin [m].
+            y: of the base's origin [m].
+            heading: yaw [rad].
+
+        Returns:
+            ``T_world_base``, shape (4, 4).
+        """
+        axles = self._axles - self._axles.mean(axis=0)
+        pose = level_pose((x, y, float(terrain.height((x, y))) + self.wheel_radius), heading)
+        for _ in range(_SETTLING_STEPS):
+            world = transform_points(pose, self._axles)
+            gap = terrain.height(world[:, :2]) + self.wheel_radius - world[:, 2]
+            design = np.column_stack([np.ones(len(axles)), axles[:, :2]])
+            lift, slope_x, slope_y = np.linalg.lstsq(design, gap, rcond=None)[0]
+            tilt = Rotation.from_euler("yx", (-np.arctan(slope_x), np.arctan(slope_y)))
+            pose[:3, :3] = pose[:3, :3] @ tilt.as_matrix()
+            pose[2, 3] += lift
+        return pose
+
+    def wheel_turn(self, previous: FloatArray, present: FloatArray) -> dict[str, float]:
+        """Turn of each wheel [rad] on the motion between two base poses, without slip."""
+        local = transform_points(invert_transform(previous) @ present, self._axles) - self._axles
+        return {
+            f"{wheel}_joint": float(offset[0] / self.wheel_radius)
+            for wheel, offset in zip(self.wheels, local, strict=True)
+        }
+
 
 ARM_JOINTS = ("arm_pan_joint", "arm_shoulder_joint", "arm_elbow_joint", "arm_wrist_joint")
 
@@ -76,7 +151,7 @@ class SurveyState:
     Attributes:
         x: of the base in the world [m].
         y: of the base in the world [m].
-        heading: yaw of the base, along the way [rad].
+        heading: yaw of the base, along the path [rad].
         joints: arm joint angles by name [rad].
     """
 
@@ -100,15 +175,15 @@ class Survey:
         times = keys[:, 0] * duration
         pan, shoulder, elbow, pitch = keys[:, 3:].T
         arm = np.column_stack([pan, shoulder, elbow, pitch - shoulder - elbow])
-        self._way = _smooth(times, keys[:, 1:3])
+        self._path = _smooth(times, keys[:, 1:3])
         self._arm = PchipInterpolator(times, arm)
-        self._way_rate = self._way.derivative()
+        self._velocity = self._path.derivative()
 
     def at(self, time: float) -> SurveyState:
         """State at a time [s] from the start; held still before the start and after the end."""
         inside = float(np.clip(time, 0.0, self.duration))
-        x, y = self._way(inside)
-        direction = self._way_rate(inside)
+        x, y = self._path(inside)
+        direction = self._velocity(inside)
         return SurveyState(
             float(x),
             float(y),
@@ -118,7 +193,7 @@ class Survey:
 
 
 def _smooth(times: FloatArray, points: FloatArray) -> CubicHermiteSpline:
-    """A way through points with the mean slope at each, so that the heading never jumps."""
+    """A path through points with the mean slope at each, so that the heading never jumps."""
     return CubicHermiteSpline(times, points, np.gradient(points, times, axis=0))
 
 
@@ -158,7 +233,6 @@ class RecorderConfig:
     )
     scene: SceneConfig = field(default_factory=SceneConfig)
     camera: StereoCameraConfig = field(default_factory=StereoCameraConfig)
-    sensor: ImageSensorConfig = field(default_factory=ImageSensorConfig)
     odometry: OdometryConfig = field(default_factory=OdometryConfig)
 
     def __post_init__(self) -> None:
@@ -193,7 +267,7 @@ class Recorder:
         self._wheels = {f"{wheel}_joint": 0.0 for wheel in self._chassis.wheels}
         noise = np.random.SeedSequence(config.seed).spawn(3)
         self._rng, sensor_rng, odometry_rng = (np.random.default_rng(seed) for seed in noise)
-        self._sensor = ImageSensor(config.sensor, sensor_rng)
+        self._sensor = ImageSensor(sensor_rng)
         self._odometry = Odometry(config.odometry, odometry_rng)
         self._base: FloatArray | None = None
         self._time = 0.0

@@ -17,6 +17,8 @@ SIDES = ("left", "right")
 Measured = list[tuple[str, Record]]
 """Records with the topics on which they belong, in their order."""
 
+_STATE_RATE = 20.0  # of joint_states, odom and camera_pose [Hz]
+
 
 @dataclass(frozen=True)
 class SensorScheduleConfig:
@@ -26,9 +28,6 @@ class SensorScheduleConfig:
         ConfigError: a value is out of its range.
     """
 
-    state_rate: float = setting(
-        20.0, "Rate of joint_states, odom and camera_pose.", unit="Hz", low=0.1, high=1000.0
-    )
     image_rate: float = parameter(1.0, "Stereo pairs per second.", unit="Hz", low=0.01, high=60.0)
     images_while_moving: bool = setting(
         True, "Take pairs while the robot moves; drawing them is what takes most of the time."
@@ -82,7 +81,7 @@ class SensorSchedule:
         self, simulator: Simulator, config: SensorScheduleConfig, map_frame: str = "map"
     ) -> None:
         self._simulator, self._config, self._map_frame = simulator, config, map_frame
-        self._state, self._image = Periodic(config.state_rate), Periodic(config.image_rate)
+        self._state, self._image = Periodic(_STATE_RATE), Periodic(config.image_rate)
 
     def due(self) -> Due:
         """What is due by now; it counts as done."""

@@ -3,35 +3,85 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
+from typing import ClassVar
 from xml.etree import ElementTree
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from infomap_ros.errors import InvalidInputError
+from infomap_ros.errors import ConfigError, InvalidInputError
 from infomap_ros.geometry import CameraCalibration
+from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.localization.target.tag_board import TagBoardConfig
+from infomap_ros.motion.base.path_following import PathFollowingConfig
 from infomap_ros.motion.robot.robot_model import RobotModel
 from infomap_ros.motion.robot.urdf import Follower, read_followers
 from infomap_ros.simulation.body.arm_motion import ArmMotion
-from infomap_ros.simulation.body.base_motion import BaseMotion, DriveTrain
+from infomap_ros.simulation.body.base_motion import (
+    BaseMotion,
+    BaseMotionConfig,
+    DriveTrain,
+    DriveTrainConfig,
+)
 from infomap_ros.simulation.body.contacts import ContactEvent, ContactMonitor
+from infomap_ros.simulation.body.dynamics import DynamicsConfig
 from infomap_ros.simulation.body.extended_description import extended_description
 from infomap_ros.simulation.body.robot_body import PREFIX, RobotBody
 from infomap_ros.simulation.body.robot_sensors import RobotSensors
 from infomap_ros.simulation.body.robot_setup import RobotSetupConfig
 from infomap_ros.simulation.body.saved_robot import SavedRobot
-from infomap_ros.simulation.cameras.eyes import DepthEye, DepthImage, Eyes, StereoPair
+from infomap_ros.simulation.body.wheel_odometry import WheelOdometryConfig
+from infomap_ros.simulation.cameras.eyes import (
+    DepthEye,
+    DepthImage,
+    Eyes,
+    StereoPair,
+)
+from infomap_ros.simulation.cameras.stereo_camera import StereoCameraConfig
 from infomap_ros.simulation.robots.ready_robot import ready_robot
-from infomap_ros.simulation.simulator_config import SimulatorConfig
 from infomap_ros.simulation.worlds.builder import World
 
 import mujoco  # isort: skip  # after the backend has been chosen
 
+
+@dataclass(frozen=True)
+class SimulatorConfig:
+    """Parameters of the simulator; the parts have their own."""
+
+    seed: int = parameter(1, "Seed of all noise.", low=0)
+    start_time: ClassVar[float] = 1_000_000_000.0
+    """Stamp of the first moment [s]."""
+    start: tuple[float, ...] = parameter(
+        (),
+        "Where the robot starts: x, y [m] and yaw [rad] in the world. Empty: where the world says; "
+        "of several robots in one world each needs a place of its own.",
+    )
+    joint_noise: ClassVar[float] = 0.0005
+    """Standard deviation of the joint positions [rad]."""
+    position_noise: ClassVar[float] = 0.003
+    """Standard deviation of the measured camera pose [m]."""
+    rotation_noise: ClassVar[float] = 0.0026
+    """Standard deviation of the measured camera pose [rad]."""
+    robot: RobotSetupConfig = field(default_factory=RobotSetupConfig)
+    dynamics: DynamicsConfig = field(default_factory=DynamicsConfig)
+    drive: DriveTrainConfig = field(default_factory=DriveTrainConfig)
+    following: PathFollowingConfig = field(default_factory=PathFollowingConfig)
+    base: BaseMotionConfig = field(default_factory=BaseMotionConfig)
+    odometry: WheelOdometryConfig = field(default_factory=WheelOdometryConfig)
+    camera: StereoCameraConfig = field(default_factory=StereoCameraConfig)
+
+    def __post_init__(self) -> None:
+        """Validate all fields."""
+        check_config(self)
+        if len(self.start) not in (0, 3):
+            raise ConfigError("start", self.start, "three numbers x, y, yaw, or none")
+
+
 __all__ = ["Simulator", "SimulatorConfig"]
 
+_STEP_HEIGHT = 0.06  # what a wheel may touch above its lowest point [m]
 _STILL_FOR = 0.4  # [s]
 _STILL = np.array([0.004, 0.004, 0.004, 0.01, 0.01, 0.01])  # [m/s, rad/s]
 _LONGEST_SWING = 6.0  # [s] after which it is held as it is, come what may
@@ -94,10 +144,10 @@ class Simulator(RobotSensors):
         self._still, self._idle, self._left = 0.0, 0.0, 0.0
         self._contacts_before = 0
         self._contacts = ContactMonitor(
-            body.model, PREFIX, body.trial, setup.casters, config.step_height, body.teammates
+            body.model, PREFIX, body.trial, setup.casters, _STEP_HEIGHT, body.teammates
         )
-        self._eyes = Eyes(body, config.camera, config.sensor, images)
-        self._depth_eye = DepthEye(body, self._eyes.camera.rig.left, config.depth, depths)
+        self._eyes = Eyes(body, config.camera, images)
+        self._depth_eye = DepthEye(body, self._eyes.camera.rig.left, depths)
 
     @property
     def saved(self) -> SavedRobot:
@@ -145,7 +195,7 @@ class Simulator(RobotSensors):
         for _ in range(round(_SETTLING / period)):
             body.advance()
         body.data.time = 0.0
-        self._drive.way()
+        self._drive.distance_rolled()
 
     # Commands
 
@@ -177,7 +227,7 @@ class Simulator(RobotSensors):
     def correct_path(self, T_odom_path: FloatArray) -> None:
         """Tell the robot on its way where localization now has the frame of its path in odom.
 
-        Without it, a long way ends beside its goal by as much as the odometry has drifted.
+        Without it, a long path ends beside its goal by as much as the odometry has drifted.
         """
         self._base.correct(T_odom_path)
 
@@ -231,7 +281,7 @@ class Simulator(RobotSensors):
         self._arm.update(period)
         body.advance()
         body.data.time = self.time
-        self._odometry.step(body.base_pose(), self._drive.way(), period)
+        self._odometry.step(body.base_pose(), self._drive.distance_rolled(), period)
         self._contacts.update(body.data)
         at_rest = (np.abs(body.base_velocity) < _STILL).all() and body.joint_speed() < 0.02
         commanded = self._base.active or self._arm.active

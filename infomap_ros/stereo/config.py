@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 from infomap_ros.errors import ConfigError
 from infomap_ros.geometry.config import check_config, parameter, setting
@@ -33,25 +32,12 @@ class StereoConfig:
         low=0.02,
         high=0.8,
     )
-    extend_search: bool = setting(
-        True,
-        "Match the outer columns too, some of whose candidates lie outside the right image. "
-        "Costs matching time in proportion to the disparities searched.",
-    )
     matcher: str = parameter(
         "sgbm_3way",
         "Variant of semi-global matching: 3 or 5 paths, from above and from below, or 8 paths over "
         "the whole image.",
         choices=("sgbm_3way", "sgbm", "sgbm_hh"),
     )
-    block_size: int = setting(5, "Side of the matching window, odd.", unit="px", low=1, high=21)
-    smoothness_small: ClassVar[int] = 8
-    """Penalty of a disparity step of 1 px, per pixel of the block (P1)."""
-    smoothness_large: int = setting(
-        32, "Penalty of a larger disparity step, per pixel of the block (P2).", low=2, high=1000
-    )
-    prefilter_cap: ClassVar[int] = 0
-    """Cap of the horizontal derivative before matching; 0 for OpenCV's default [gray levels]."""
     uniqueness: int = setting(
         10,
         "The best match must beat the second best by this margin.",
@@ -74,37 +60,13 @@ class StereoConfig:
         low=0,
         high=100000,
     )
-    speckle_range: ClassVar[float] = 1.0
-    """Neighbors that differ by less belong to one patch [px]."""
-    edge_window: int = setting(
-        5,
-        "Pixels with a disparity jump or a hole within this window are dropped (foreground "
-        "fattening); odd, 1 keeps all.",
-        unit="px",
-        low=1,
-        high=31,
-    )
-    edge_threshold: float = setting(
-        2.0,
-        "Disparity range within edge_window that counts as a jump.",
-        unit="px",
-        low=0.25,
-        high=100.0,
-    )
     max_grazing_angle: float = setting(
         1.405,
-        "A disparity range within edge_window that only a surface seen at a larger angle from its "
-        "normal would have counts as a jump too...",
+        "Where disparities change as only a surface seen at a larger angle from its normal would "
+        "have it, the pixels are dropped.",
         unit="rad",
         low=0.1,
         high=1.55,
-    )
-    edge_noise: float = setting(
-        1.0,
-        "...but none up to this, which a match may have by chance.",
-        unit="px",
-        low=0.0,
-        high=100.0,
     )
     min_texture: float = parameter(
         0.3,
@@ -112,35 +74,6 @@ class StereoConfig:
         unit="gray levels/px",
         low=0.0,
         high=100.0,
-    )
-    min_contrast: float = setting(
-        0.35,
-        "Pixels whose mean squared horizontal gradient is less than this many times the "
-        "photometric variance that the match leaves unexplained are dropped: images of nothing "
-        "but sensor noise, as of the sky, have 0.2.",
-        low=0.0,
-        high=100.0,
-    )
-    min_support: float = setting(
-        0.5,
-        "Pixels that stand alone are dropped: so large a share of the 9 x 9 pixels about each must "
-        "be kept by all other checks.",
-        low=0.0,
-        high=1.0,
-    )
-    refinement_window: int = setting(
-        7,
-        "Side of the window of the photometric sub-pixel step and of the matching quality, odd.",
-        unit="px",
-        low=3,
-        high=31,
-    )
-    smoothing_window: int = setting(
-        5,
-        "Refined disparities are averaged over this window, odd, at most edge_window; 1 for none.",
-        unit="px",
-        low=1,
-        high=15,
     )
     noise_model: str = parameter(
         "disparity",
@@ -160,17 +93,6 @@ class StereoConfig:
     )
     sigma_texture_power: float = parameter(
         0.616, "Disparity model: exponent of the width of the texture.", low=0.0, high=3.0
-    )
-    sigma_floor: float = setting(
-        0.05, "Disparity model: sigma is never smaller.", unit="px", low=0.001, high=10.0
-    )
-    pixel_sigma: float = setting(
-        0.3,
-        "Disparity model: standard deviation of the viewing ray across the image (the footprint "
-        "of a pixel has 0.29).",
-        unit="px",
-        low=0.001,
-        high=10.0,
     )
     printed_s: float = setting(
         0.293,
@@ -192,13 +114,6 @@ class StereoConfig:
         low=-0.99,
         high=0.99,
     )
-    max_relative_sigma: float = setting(
-        0.15,
-        "Pixels whose disparity sigma is a larger share of their disparity from infinity are "
-        "dropped: beyond it the second-order range statistics are not trustworthy.",
-        low=0.01,
-        high=0.3,
-    )
     threads: int = parameter(2, "Threads for all that is not the matcher.", low=1, high=64)
     error_correlation: float = setting(
         0.41,
@@ -209,20 +124,8 @@ class StereoConfig:
 
     def __post_init__(self) -> None:
         check_config(self)
-        for name in ("block_size", "edge_window", "refinement_window", "smoothing_window"):
-            if getattr(self, name) % 2 == 0:
-                raise ConfigError(name, getattr(self, name), "an odd number")
-        if self.smoothing_window > self.edge_window:  # would average over holes and depth edges
-            limit = f"at most edge_window, {self.edge_window}"
-            raise ConfigError("smoothing_window", self.smoothing_window, limit)
         if self.max_depth <= self.min_depth:
             raise ConfigError("max_depth", self.max_depth, f"more than min_depth {self.min_depth}")
-        if self.smoothness_large <= self.smoothness_small:
-            raise ConfigError(
-                "smoothness_large",
-                self.smoothness_large,
-                f"more than smoothness_small {self.smoothness_small}",
-            )
         self._check_triples()
 
     def _check_triples(self) -> None:

@@ -16,7 +16,6 @@ frees space as other points beyond a map's range do; `range_image` has none.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 import cv2
 import numpy as np
@@ -32,6 +31,16 @@ from infomap_ros.stereo.range_cloud import RangeCloud, assemble, mark_correlatio
 _MILLIMETER = np.float32(1e-3)
 _BEYOND = np.float32(2000.0)  # depth of what has no return [m]: twice the largest range of a map
 _BEYOND_VARIANCE = np.float32(4e4)  # a tenth of that, squared [m^2]
+_SIGMA_LINEAR = 0.0  # growth of the depth noise with (z - _SIGMA_DEPTH)
+_SIGMA_DEPTH = 0.4  # depth at which the noise is smallest [m]
+# Depth noise that surfaces seen at an angle add: this times z^-1/2 [m^1/2], times
+# (angle / (pi/2 - angle))^2 between ray and surface normal.
+_SIGMA_GRAZING = 0.0001
+_QUANTIZATION = 0.001  # step of the depth values, whose rounding error is added [m]
+_PIXEL_SIGMA = 0.8  # of the ray across the image [px]
+_MAX_GRAZING_ANGLE = 1.4  # from the normal, beyond which a surface is dropped [rad]
+_EDGE_WINDOW = 3  # within which pixels with a depth jump are dropped, odd [px]
+_EDGE_THRESHOLD = 0.05  # depth range within it that is a jump, as a share of the depth
 
 
 @dataclass(frozen=True)
@@ -44,55 +53,12 @@ class DepthCameraConfig:
 
     min_depth: float = parameter(0.4, "Nearer depths are dropped.", unit="m", low=0.0)
     max_depth: float = parameter(8.0, "Farther depths are dropped.", unit="m", low=0.01)
-    sigma_base: float = parameter(
-        0.0012, "Depth noise at sigma_depth.", unit="m", low=1e-5, high=1.0
-    )
-    sigma_linear: ClassVar[float] = 0.0
-    """Growth of the depth noise with (z - sigma_depth)."""
+    sigma_base: float = parameter(0.0012, "Depth noise at 0.4 m.", unit="m", low=1e-5, high=1.0)
     sigma_quadratic: float = parameter(
         0.0019,
-        "Growth of the depth noise with (z - sigma_depth)^2.",
+        "Growth of the depth noise with (z - 0.4 m)^2.",
         unit="1/m",
         low=0.0,
-        high=1.0,
-    )
-    sigma_depth: ClassVar[float] = 0.4
-    """Depth at which the noise is smallest [m]."""
-    sigma_grazing: float = setting(
-        0.0001,
-        "Depth noise that surfaces seen at an angle add: this times z^-1/2 [m^1/2], times "
-        "(angle / (pi/2 - angle))^2 between ray and surface normal.",
-        low=0.0,
-        high=1.0,
-    )
-    quantization: float = setting(
-        0.001,
-        "Step of the depth values; its rounding error is added.",
-        unit="m",
-        low=0.0,
-        high=0.1,
-    )
-    pixel_sigma: float = setting(
-        0.8, "Standard deviation of the ray across the image.", unit="px", low=0.001, high=10.0
-    )
-    max_grazing_angle: float = setting(
-        1.4,
-        "Surfaces seen at a larger angle from their normal are dropped.",
-        unit="rad",
-        low=0.1,
-        high=1.55,
-    )
-    edge_window: int = setting(
-        3,
-        "Pixels with a depth jump within this window are dropped; odd, 1 keeps all.",
-        unit="px",
-        low=1,
-        high=31,
-    )
-    edge_threshold: float = setting(
-        0.05,
-        "Depth range within edge_window that counts as a jump, as a share of the depth.",
-        low=0.001,
         high=1.0,
     )
     error_correlation: float = setting(
@@ -104,8 +70,6 @@ class DepthCameraConfig:
 
     def __post_init__(self) -> None:
         check_config(self)
-        if self.edge_window % 2 == 0:
-            raise ConfigError("edge_window", self.edge_window, "an odd number")
         if self.max_depth <= self.min_depth:
             raise ConfigError("max_depth", self.max_depth, f"more than min_depth {self.min_depth}")
 
@@ -147,7 +111,7 @@ class DepthCameraSensor:
         kept, variance = self._noise(meters)
         is_beyond = kept == _BEYOND
         variance[is_beyond] = _BEYOND_VARIANCE
-        packed = assemble(self.camera, kept, variance, self.config.pixel_sigma, image, self._bands)
+        packed = assemble(self.camera, kept, variance, _PIXEL_SIGMA, image, self._bands)
         kept[is_beyond] = np.nan
         return RangeCloud(
             camera=self.camera,
@@ -179,17 +143,17 @@ class DepthCameraSensor:
     def _noise(self, depth: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Depth with edges dropped (NaN) and its variance [m^2], both shape (H, W)."""
         config, camera = self.config, self.camera
-        window = np.ones((config.edge_window, config.edge_window), np.uint8)
+        window = np.ones((_EDGE_WINDOW, _EDGE_WINDOW), np.uint8)
         low, high = cv2.erode(depth, window), cv2.dilate(depth, window)
         smooth = cv2.blur(depth, (3, 3))
         kept, variance = np.empty_like(depth), np.empty_like(depth)
         _depth_noise(
             depth,
             smooth,
-            (low > 0.0) & (high - low < config.edge_threshold * depth),
+            (low > 0.0) & (high - low < _EDGE_THRESHOLD * depth),
             (camera.fx, camera.fy, camera.cx, camera.cy),
-            (config.sigma_base, config.sigma_linear, config.sigma_quadratic, config.sigma_depth),
-            (config.sigma_grazing, config.max_grazing_angle, config.quantization**2 / 12.0),
+            (config.sigma_base, _SIGMA_LINEAR, config.sigma_quadratic, _SIGMA_DEPTH),
+            (_SIGMA_GRAZING, _MAX_GRAZING_ANGLE, _QUANTIZATION**2 / 12.0),
             kept,
             variance,
         )

@@ -288,7 +288,7 @@ def measure_errors(pair: StereoPair, config: StereoConfig) -> PairErrors:
         kept,
         np.where(kept, cloud.disparity - pair.truth, np.float32(np.nan)),
         np.where(kept, cloud.disparity_sigma, np.float32(np.nan)),
-        match_terms(quality, config),
+        match_terms(quality),
         float(kept.sum() / known.sum()),
         plain_bad,
         plain_density,

@@ -26,6 +26,10 @@ _MODES = {
 _SYMMETRIC = "sgbm_hh"
 # Largest difference of the two passes of the others that is noise [1/16 px].
 _LARGEST_DIFFERENCE = 2 * SUBPIXELS
+BLOCK_SIZE = 5
+"""Side of the matching window, odd [px]."""
+SMOOTHNESS_SMALL, SMOOTHNESS_LARGE = 8, 32
+"""Penalties of a disparity step of 1 px and of more, per pixel of the block (P1, P2)."""
 
 
 @dataclass(frozen=True)
@@ -71,18 +75,16 @@ class DisparityMatcher:
 
     def __init__(self, search: DisparityRange, config: StereoConfig) -> None:
         self.search = search
-        extend = config.extend_search
-        self._before = max(0, search.maximum) if extend else 0
-        self._after = max(0, -search.minimum) if extend else 0
+        self._before, self._after = max(0, search.maximum), max(0, -search.minimum)
         self._is_symmetric = config.matcher == _SYMMETRIC
         self._matcher = cv2.StereoSGBM.create(
             minDisparity=search.minimum,
             numDisparities=search.count,
-            blockSize=config.block_size,
-            P1=config.smoothness_small * config.block_size**2,
-            P2=config.smoothness_large * config.block_size**2,
+            blockSize=BLOCK_SIZE,
+            P1=SMOOTHNESS_SMALL * BLOCK_SIZE**2,
+            P2=SMOOTHNESS_LARGE * BLOCK_SIZE**2,
             disp12MaxDiff=config.left_right_tolerance,
-            preFilterCap=config.prefilter_cap,
+            preFilterCap=0,  # OpenCV's default
             uniquenessRatio=config.uniqueness,
             mode=_MODES[config.matcher],
         )

@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 from infomap_ros.geometry import StereoRig
 from infomap_ros.stereo.config import StereoConfig
 from infomap_ros.stereo.images import RowBands
-from infomap_ros.stereo.quality import MatchQuality
+from infomap_ros.stereo.quality import REFINEMENT_WINDOW, SMOOTHING_WINDOW, MatchQuality
 
 # Added to the squared residual, gradient and curvature so that the power law stays finite:
 # quantization and read noise of an 8-bit image [gray levels^2].
@@ -45,6 +45,12 @@ _CURVATURE_NOISE = 0.5
 _NOISE_IN_GRADIENT = 0.125
 _NOISE_IN_CURVATURE = 3.0
 _LEAST_SIGNAL = 0.25
+# Pixels whose photometric differences take part in one refined, smoothed disparity.
+_SAMPLES = (REFINEMENT_WINDOW + SMOOTHING_WINDOW - 1) ** 2
+_SIGMA_FLOOR = 0.05  # of the disparity [px]
+# Largest sigma as a share of the disparity from infinity: beyond it the second-order range
+# statistics are not trustworthy.
+_MAX_RELATIVE_SIGMA = 0.15
 
 
 class MatchTerms(NamedTuple):
@@ -63,14 +69,14 @@ class MatchTerms(NamedTuple):
     photometric: NDArray[np.float64]
 
 
-def match_terms(quality: MatchQuality, config: StereoConfig) -> MatchTerms:
+def match_terms(quality: MatchQuality) -> MatchTerms:
     """Terms of `sigma_from_quality`, for its calibration; shape (H, W) each."""
     residual = quality.residual.astype(np.float64) + _RESIDUAL_NOISE
     gradient = quality.gradient.astype(np.float64) + _GRADIENT_NOISE
     curvature = quality.curvature.astype(np.float64) + _CURVATURE_NOISE
     slope = np.maximum(gradient - _NOISE_IN_GRADIENT * residual, _LEAST_SIGNAL * gradient)
     bend = np.maximum(curvature - _NOISE_IN_CURVATURE * residual, _LEAST_SIGNAL * curvature)
-    bound = residual / (_samples(config) * slope)
+    bound = residual / (_SAMPLES * slope)
     return MatchTerms(0.5 * np.log(residual), 0.5 * np.log(slope / bend), np.asarray(bound))
 
 
@@ -79,12 +85,7 @@ def sigma_from_terms(terms: MatchTerms, config: StereoConfig) -> NDArray[np.floa
     exponent = config.sigma_residual_power * terms.residual
     exponent = exponent + config.sigma_texture_power * terms.width
     sigma = np.sqrt((config.sigma_scale * np.exp(exponent)) ** 2 + terms.photometric)
-    return np.asarray(np.maximum(sigma, config.sigma_floor))
-
-
-def _samples(config: StereoConfig) -> int:
-    """Pixels whose photometric differences take part in one refined, smoothed disparity."""
-    return (config.refinement_window + config.smoothing_window - 1) ** 2
+    return np.asarray(np.maximum(sigma, _SIGMA_FLOOR))
 
 
 def sigma_from_quality(
@@ -92,8 +93,8 @@ def sigma_from_quality(
 ) -> NDArray[np.float32]:
     """Standard deviation of refined disparities, shape (H, W), float32 [px].
 
-    ``sigma^2 = (scale * residual^a * width^c)^2 + bound``, at least sigma_floor^2, with the terms
-    of `MatchTerms`. Within 1 % (the logarithms are approximated).
+    ``sigma^2 = (scale * residual^a * width^c)^2 + bound``, at least `_SIGMA_FLOOR` squared, with
+    the terms of `MatchTerms`. Within 1 % (the logarithms are approximated).
 
     Args:
         quality: of the matches.
@@ -101,7 +102,7 @@ def sigma_from_quality(
         bands: threads to work in.
     """
     powers = np.array([0.5 * config.sigma_residual_power, 0.5 * config.sigma_texture_power])
-    numbers = np.array([config.sigma_scale, config.sigma_floor, _samples(config)])
+    numbers = np.array([config.sigma_scale, _SIGMA_FLOOR, _SAMPLES])
     sigma = np.empty(quality.disparity.shape, np.float32)
     arguments = (powers.astype(np.float32), numbers.astype(np.float32))
 
@@ -175,7 +176,7 @@ def range_from_disparity(
 
     Args:
         rig: rectified pair.
-        config: min_depth, max_depth and max_relative_sigma.
+        config: min_depth and max_depth.
         keep: pixels to convert, shape (H, W).
         disparity: shape (H, W) [px].
         sigma: standard deviation of disparity, shape (H, W) [px].
@@ -183,7 +184,7 @@ def range_from_disparity(
     """
     result = StereoRange(*(np.empty(disparity.shape, np.float32) for _ in range(4)))
     focal_baseline, offset = rig.left.fx * rig.baseline, rig.principal_offset
-    limits = (config.min_depth, config.max_depth, config.max_relative_sigma)
+    limits = (config.min_depth, config.max_depth, _MAX_RELATIVE_SIGMA)
     numbers = np.array([focal_baseline, offset, *limits], np.float32)
 
     def work(first: int, end: int) -> None:

@@ -24,6 +24,14 @@ from infomap_ros.stereo.matching import SUBPIXELS
 _GRADIENT_NOISE = 5.0
 # Largest correction of a disparity [px]; the matcher is right to the whole pixel or wrong.
 _LARGEST_STEP = 0.5
+REFINEMENT_WINDOW = 7
+"""Side of the window of the photometric sub-pixel step and of the matching quality, odd [px]."""
+SMOOTHING_WINDOW = 5
+"""Refined disparities are averaged over this window, odd [px]; a larger one than that of the edges
+would average over holes."""
+# Mean squared horizontal gradient over the photometric variance that the match leaves unexplained;
+# images of nothing but sensor noise, as of the sky, have 0.2.
+_MIN_CONTRAST = np.float32(0.35)
 # Window sums: count, g, e, gg, ge, ee, hh with gradient g, difference e, second derivative h.
 _CHANNELS = 7
 
@@ -87,18 +95,18 @@ def is_determined(
 
     Args:
         quality: of the matches.
-        config: min_texture and min_contrast.
+        config: min_texture.
         bands: threads to work in.
 
     Returns:
         shape (H, W), bool.
     """
     determined = np.empty(quality.gradient.shape, np.bool_)
-    least, contrast = np.float32(config.min_texture**2), np.float32(config.min_contrast)
+    least = np.float32(config.min_texture**2)
 
     def work(first: int, end: int) -> None:
         planes = (p[first:end] for p in (quality.gradient, quality.residual, determined))
-        _find_determined(least, contrast, *planes)
+        _find_determined(least, _MIN_CONTRAST, *planes)
 
     bands.run(work)
     return determined

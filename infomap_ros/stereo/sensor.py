@@ -15,10 +15,24 @@ from infomap_ros.stereo.config import StereoConfig
 from infomap_ros.stereo.images import RowBands, check_image, gray
 from infomap_ros.stereo.matching import SUBPIXELS, DisparityMatcher, DisparityRange, disparity_range
 from infomap_ros.stereo.noise import StereoRange, range_from_disparity, sigma_from_quality
-from infomap_ros.stereo.quality import MatchQuality, is_determined, refine
+from infomap_ros.stereo.quality import (
+    REFINEMENT_WINDOW,
+    SMOOTHING_WINDOW,
+    MatchQuality,
+    is_determined,
+    refine,
+)
 from infomap_ros.stereo.range_cloud import RangeCloud, assemble, assemble_printed, mark_correlation
 
 _SUPPORT = (9, 9)  # [px]
+_MIN_SUPPORT = 0.5  # share of the pixels about one that must be kept, else it stands alone
+_SPECKLE_RANGE = 1.0  # neighbors that differ by less belong to one patch [px]
+# Pixels with a disparity jump or a hole within this window are dropped (foreground fattening) [px].
+_EDGE_WINDOW = 5
+_EDGE_THRESHOLD = 2.0  # disparity range within it that is a jump [px]
+_EDGE_NOISE = 1.0  # likewise that is none, however steep: a match may have it by chance [px]
+# Standard deviation of the viewing ray across the image; the footprint of a pixel has 0.29 [px].
+_PIXEL_SIGMA = 0.3
 
 
 def drop_inconsistent(
@@ -73,17 +87,17 @@ def drop_speckles(disparity: NDArray[np.int16], invalid: int, config: StereoConf
     Args:
         disparity: shape (H, W) [1/16 px].
         invalid: value of pixels without a match.
-        config: speckle_size and speckle_range.
+        config: speckle_size.
     """
     if config.speckle_size > 0:
-        step = round(config.speckle_range * SUBPIXELS)
+        step = round(_SPECKLE_RANGE * SUBPIXELS)
         cv2.filterSpeckles(disparity, invalid, config.speckle_size, step)
 
 
 def edge_free(
     disparity: NDArray[np.int16], invalid: int, config: StereoConfig, rig: StereoRig
 ) -> NDArray[np.bool_]:
-    """Pixels with neither a jump of disparity nor a hole within edge_window.
+    """Pixels with neither a jump of disparity nor a hole within `_EDGE_WINDOW`.
 
     Semi-global matching smears the foreground over the background by about half a block at
     depth edges; such pixels carry the error of a whole jump and no sigma can describe them. A jump
@@ -94,21 +108,19 @@ def edge_free(
     Args:
         disparity: shape (H, W) [1/16 px].
         invalid: value of pixels without a match.
-        config: edge_window, edge_threshold, max_grazing_angle and edge_noise.
+        config: max_grazing_angle.
         rig: the pair.
 
     Returns:
         shape (H, W), bool; False too within the window of the image border.
     """
-    window = np.ones((config.edge_window, config.edge_window), np.uint8)
+    window = np.ones((_EDGE_WINDOW, _EDGE_WINDOW), np.uint8)
     low, high = cv2.erode(disparity, window), cv2.dilate(disparity, window)
     keep = np.empty(disparity.shape, np.bool_)
-    steepest = (config.edge_window - 1) * math.tan(config.max_grazing_angle) / rig.left.fx
-    limits = np.array((config.edge_noise, config.edge_threshold), np.float32) * SUBPIXELS
+    steepest = (_EDGE_WINDOW - 1) * math.tan(config.max_grazing_angle) / rig.left.fx
+    limits = np.array((_EDGE_NOISE, _EDGE_THRESHOLD), np.float32) * SUBPIXELS
     offset = np.float32(rig.principal_offset * SUBPIXELS)
-    _smooth_places(
-        low, high, invalid, limits, np.float32(steepest), offset, config.edge_window, keep
-    )
+    _smooth_places(low, high, invalid, limits, np.float32(steepest), offset, _EDGE_WINDOW, keep)
     return keep
 
 
@@ -236,13 +248,13 @@ class StereoRangeSensor:
             right,
             checked,
             invalid,
-            config.refinement_window,
-            config.smoothing_window,
+            REFINEMENT_WINDOW,
+            SMOOTHING_WINDOW,
             self._bands,
         )
         keep = edge_free(checked, invalid, config, self.rig)
         keep &= is_determined(quality, config, self._bands)
-        keep &= has_support(keep, config.min_support)
+        keep &= has_support(keep, _MIN_SUPPORT)
         return keep, quality
 
     def _assemble(self, ranges: StereoRange, image: NDArray[np.uint8]) -> NDArray[np.float32]:
@@ -253,4 +265,4 @@ class StereoRangeSensor:
                 camera, focal_baseline, ranges.depth, config, image, self._bands
             )
         variance = ranges.variance
-        return assemble(camera, ranges.depth, variance, config.pixel_sigma, image, self._bands)
+        return assemble(camera, ranges.depth, variance, _PIXEL_SIGMA, image, self._bands)

@@ -1,6 +1,6 @@
 """How far the camera's position drifts when scene fiducials alone tell of its motion (Fig. 15).
 
-Fig. 15 of doi:10.1177/0278364905051774: the RMS position error over 50 steps grows with the way,
+Fig. 15 of doi:10.1177/0278364905051774: the RMS position error over 50 steps grows with distance,
 and falls with redundant fiducials (1, 2, 4 times the necessary number) and with their nearness
 (mean distance 1,100 mm and 350 mm). Three methods see the same measurements:
 
@@ -38,8 +38,8 @@ from infomap_ros.localization.filter.config import FiducialFilterConfig
 from infomap_ros.localization.filter.fiducial_filter import FiducialFilter
 from infomap_ros.localization.filter.free_motion import free_motion
 from infomap_ros.studies.camera_motion import estimate_motion, printed_motion
-from infomap_ros.studies.common.figure_style import CONFIDENCE
 from infomap_ros.studies.fiducial_walk import CAMERA, WalkConfig, WalkFrame, walk
+from infomap_ros.studies.figure_style import CONFIDENCE
 
 NECESSARY = 4
 """Fiducials that eq. (14) needs for its 12 unknowns."""
@@ -67,7 +67,7 @@ METHODS = tuple(field.name for field in dataclasses.fields(WalkErrors))
 
 @dataclass(frozen=True)
 class WalkTask:
-    """One walk: implements `infomap_ros.studies.common.runs.Task`.
+    """One walk: implements `infomap_ros.studies.runs.Task`.
 
     Attributes:
         distance: mean distance of the fiducials [m].

@@ -26,7 +26,6 @@ from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.mapping.correction.correctable_map import CorrectableMap
-from infomap_ros.studies.common.runs import markdown
 from infomap_ros.studies.noisy_scans import (
     CAMERA,
     AnalyticScene,
@@ -34,6 +33,7 @@ from infomap_ros.studies.noisy_scans import (
     random_scene,
     simulate_scans,
 )
+from infomap_ros.studies.runs import markdown
 from infomap_ros.studies.scan_sequences import CAMERA as SEQUENCE_CAMERA
 from infomap_ros.studies.scan_sequences import CASES, ScanSequence, simulate_sequence
 
@@ -188,7 +188,7 @@ def map_sequence(sequence: ScanSequence, voxel_size: float, correlation: float) 
     """A map of a sequence, after the corrections that it has; for the arguments see `map_scans`."""
     mapped = map_scans(sequence.scans, voxel_size, correlation, SEQUENCE_CAMERA)
     if (known := sequence.corrections) is not None:
-        mapped.hear(len(sequence.scans), known.scans, known.poses, known.covariances)
+        mapped.receive_poses(len(sequence.scans), known.scans, known.poses, known.covariances)
         mapped.correct()
     return mapped.voxel_map
 

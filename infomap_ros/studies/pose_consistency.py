@@ -37,7 +37,7 @@ from infomap_ros.localization.filter.config import FilterUpdate
 from infomap_ros.localization.filter.fiducial_filter import FiducialFilter
 from infomap_ros.localization.filter.free_motion import free_motion
 from infomap_ros.localization.filter.motion_prior import MotionPrior
-from infomap_ros.studies.common.runs import markdown
+from infomap_ros.studies.runs import markdown
 
 CONFIDENCE = 0.95
 _WRONG = 0.9999  # probability beyond which an error is not explained by the covariance

@@ -146,14 +146,14 @@ def _take(
     rng: np.random.Generator,
     in_map: FloatArray | None = None,
 ) -> list[NoisyScan]:
-    """Scans from `truth`; the poses in the map that are told are wrong by `errors`."""
+    """Scans from `truth`; the poses in the map that are given are wrong by `errors`."""
     scans, depth, last = [], np.empty(0), None
     poses = truth if in_map is None else in_map
-    for pose, placed, error, told in zip(truth, poses, errors, uncertainties, strict=True):
+    for pose, placed, error, uncertainty in zip(truth, poses, errors, uncertainties, strict=True):
         if last is None or not np.array_equal(pose, last):
             depth, last = depth_of(scene, pose, CAMERA), pose
         points, covariances = noise.measure(depth, CAMERA, rng)
-        scans.append(NoisyScan(points, covariances, misplaced(placed, error), told))
+        scans.append(NoisyScan(points, covariances, misplaced(placed, error), uncertainty))
     return scans
 
 

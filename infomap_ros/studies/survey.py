@@ -20,10 +20,10 @@ from infomap_ros.geometry import ImageRecord, Record
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.replay.bags.reader import BagRecord
 from infomap_ros.replay.bags.source import EVER
-from infomap_ros.replay.localizing.localize_run import records_of
+from infomap_ros.replay.localize_run import records_of
+from infomap_ros.replay.map_inputs import MapInputs, MapOptions
+from infomap_ros.replay.map_run import MapRun, Progress
 from infomap_ros.replay.mapped_bag import Recording, open_recording
-from infomap_ros.replay.mapping.map_inputs import MapInputs, MapOptions
-from infomap_ros.replay.mapping.map_run import MapRun, Progress
 from infomap_ros.team.merging import NamedMap, merge_maps, sum_of_maps
 
 _PART_FRAMES = 500
@@ -71,9 +71,9 @@ def spans_of(run: MapRun, bag: Recording) -> list[Span]:
         return [Span()]
     image = next(iter(bag.records(run.inputs.perception.sources.images[:1])))
     waits = run.options.poses.max_gap + run.options.waiting.max_wait
-    told = image.received - image.record.stamp, 2 * _JITTER + round(1e9 * waits)
+    timing = image.received - image.record.stamp, 2 * _JITTER + round(1e9 * waits)
     cuts = [bag.start + (bag.end - bag.start) * k // count for k in range(1, count)]
-    return [Span(range(*ends), *told) for ends in pairwise([0, *cuts, EVER.stop])]
+    return [Span(range(*ends), *timing) for ends in pairwise([0, *cuts, EVER.stop])]
 
 
 def tally_of(run: MapRun, bag: Recording) -> dict[str, Any]:
@@ -99,19 +99,19 @@ def take(run: MapRun, bag: Recording, survey: Mapped) -> None:
         BagError: no frame could be mapped; says why.
         InvalidInputError: the bags have their poses in frames of different names.
     """
-    told = survey.tally
-    frames = sorted(set(told["map_frame"]))
+    tally = survey.tally
+    frames = sorted(set(tally["map_frame"]))
     if len(frames) > 1:
         raise InvalidInputError(survey.name, f"have their poses in frames {', '.join(frames)}")
     run.inputs.poses.map_frame = "".join(frames)
     for name in _ADDED:
-        setattr(run, name, told[name])
-    run.first, run.full = next(iter(told["first"]), None), "; ".join(told["full"])
+        setattr(run, name, tally[name])
+    run.first, run.full = next(iter(tally["first"]), None), "; ".join(tally["full"])
     run.builder.replace(survey.map)
-    run.builder.assumed_poses = told["assumed_poses"]
-    run.builder.points_cut = told["points_cut"]
-    run.refused.update(told["refused"])
-    bag.skipped, bag.problems[:] = told["skipped"], dict.fromkeys(told["problems"])
+    run.builder.assumed_poses = tally["assumed_poses"]
+    run.builder.points_cut = tally["points_cut"]
+    run.refused.update(tally["refused"])
+    bag.skipped, bag.problems[:] = tally["skipped"], dict.fromkeys(tally["problems"])
     run.check_frames()
 
 

@@ -1,1 +1,1 @@
-"""What robots tell each other of the map: the wire format of map updates, and their merge."""
+"""What robots send each other of the map: the wire format of map updates, and their merge."""

@@ -1,10 +1,10 @@
 """What is known of the other robots of a team, and for how long it counts.
 
 How far a robot had come is known for longer than where it stood: whoever repeats its old words
-after it has fallen silent is not heard. A robot whose clock went back is told so by its teammates
+after it has fallen silent is refused. A robot whose clock went back learns it from its teammates
 (`AgentBoard.past`) and goes on after what they know.
 
-What a robot tells of itself, as a text: one JSON object, and the team's code behind it.
+What a robot reports of itself, as a text: one JSON object, and the team's code behind it.
 
 The object is the first line. Where the team has a key, a second line holds the message's code
 (`team.authentication`); who has no key does not look at it.
@@ -26,25 +26,28 @@ from infomap_ros.geometry import (
     transform_from_quaternion,
 )
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.team.agents import Agent, AgentBoardConfig
+from infomap_ros.team.agents import Agent
 from infomap_ros.team.membership import NOT_AUTHENTIC, Membership, TeamKey
 from infomap_ros.team.own_version import MOST_FOLLOWED
-from infomap_ros.team.update import is_newer, versions_ahead
+from infomap_ros.team.update import are_one_frame, is_newer, versions_ahead
 
+SILENCE = 5.0
+"""What a teammate was heading for no longer counts when it has not reported for so long [s]."""
+_MEMORY = 60.0  # its body still counts for so long; then it is part of the scene [s]
 _FORMAT = 1
 _LONGEST = 65_536
-_WHOLE = ("robot", "session", "version", "stamp", "since", "claim")
+_WHOLE = ("robot", "session", "version", "stamp", "since", "claim", "origin")
 _REAL = ("max_range", "radius", "bottom", "top")
 _TEXT = ("state", "description", "description_hash", "base_frame")
 _LENS = ("width", "height", "fx", "fy", "cx", "cy")
 _NAMES = frozenset(
-    {"infomap_agent", "base", "camera", "goal", "covariance", "lens", "way", "joints", "heard"}
+    {"infomap_agent", "base", "camera", "goal", "covariance", "lens", "path", "joints", "claims"}
     | {*_WHOLE, *_REAL, *_TEXT}
 )
 
 
 def agent_to_text(agent: Agent, key: TeamKey | None = None) -> str:
-    """What a robot tells of itself, signed if there is a key."""
+    """What a robot reports of itself, signed if there is a key."""
     covariance = agent.covariance
     upper = None if covariance is None else covariance[np.triu_indices(6)].tolist()
     content: dict[str, Any] = {
@@ -57,9 +60,9 @@ def agent_to_text(agent: Agent, key: TeamKey | None = None) -> str:
         "goal": None if agent.goal is None else _numbers(agent.goal),
         "covariance": upper,
         "lens": [getattr(agent.camera, name) for name in _LENS],
-        "way": np.round(agent.way, 4).tolist(),
+        "path": np.round(agent.path, 4).tolist(),
         "joints": {name: float(value) for name, value in agent.joints.items()},
-        "heard": {str(robot): int(claim) for robot, claim in agent.heard.items()},
+        "claims": {str(robot): int(claim) for robot, claim in agent.claims.items()},
     }
     text = json.dumps(content, separators=(",", ":"), allow_nan=False)
     return text if key is None else f"{text}\n{key.code_of_text(text)}"
@@ -69,7 +72,7 @@ def agent_from_text(text: str, key: TeamKey | None = None) -> Agent:
     """Read what `agent_to_text` wrote.
 
     Args:
-        text: as it was heard.
+        text: as it was received.
         key: of the team; without one every message is taken for genuine.
 
     Raises:
@@ -80,38 +83,40 @@ def agent_from_text(text: str, key: TeamKey | None = None) -> Agent:
         raise InvalidInputError("agent", f"{len(text)} characters")
     content, _, code = text.partition("\n")
     if key is not None and not key.is_code_of_text(content, code):
-        raise UpdateRefusedError("what was told of a robot is not of this team", NOT_AUTHENTIC)
+        raise UpdateRefusedError("what was reported of a robot is not of this team", NOT_AUTHENTIC)
     try:
-        told = json.loads(content, parse_constant=_no_constant)
+        fields = json.loads(content, parse_constant=_no_constant)
     except (ValueError, RecursionError) as error:
         raise InvalidInputError("agent", f"is not JSON: {error}") from error
-    if not isinstance(told, dict) or told.get("infomap_agent") != _FORMAT:
+    if not isinstance(fields, dict) or fields.get("infomap_agent") != _FORMAT:
         raise InvalidInputError("agent", f"is not an object of format {_FORMAT}")
-    if missing := _NAMES - told.keys():
+    if missing := _NAMES - fields.keys():
         raise InvalidInputError("agent", f"lacks {', '.join(sorted(missing))}")
     try:
-        return _read(told)
+        return _read(fields)
     except (TypeError, ValueError, KeyError, OverflowError, CalibrationError) as error:
         raise InvalidInputError("agent", str(error)) from error
 
 
-def _read(told: Mapping[str, Any]) -> Agent:
+def _read(fields: Mapping[str, Any]) -> Agent:
     plain: dict[str, Any] = {
-        **{name: _whole(told[name], name) for name in _WHOLE},
-        **{name: _real(told[name], name) for name in _REAL},
-        **{name: _word(told[name], name) for name in _TEXT},
+        **{name: _whole(fields[name], name) for name in _WHOLE},
+        **{name: _real(fields[name], name) for name in _REAL},
+        **{name: _word(fields[name], name) for name in _TEXT},
     }
-    heard = _object(told["heard"], "heard")
+    known = _object(fields["claims"], "claims")
     return Agent(
         **plain,
-        T_map_base=_pose(told["base"], "base"),
-        T_map_camera=_pose(told["camera"], "camera"),
-        goal=None if told["goal"] is None else _pose(told["goal"], "goal"),
-        covariance=None if told["covariance"] is None else _covariance(told["covariance"]),
-        camera=_camera(told["lens"]),
-        way=np.array([_row(row, 3, "way") for row in _list(told["way"], "way")]).reshape(-1, 3),
-        joints={name: _real(q, name) for name, q in _object(told["joints"], "joints").items()},
-        heard={int(robot): _whole(claim, "heard") for robot, claim in heard.items()},
+        T_map_base=_pose(fields["base"], "base"),
+        T_map_camera=_pose(fields["camera"], "camera"),
+        goal=None if fields["goal"] is None else _pose(fields["goal"], "goal"),
+        covariance=None if fields["covariance"] is None else _covariance(fields["covariance"]),
+        camera=_camera(fields["lens"]),
+        path=np.array([_row(row, 3, "path") for row in _list(fields["path"], "path")]).reshape(
+            -1, 3
+        ),
+        joints={name: _real(q, name) for name, q in _object(fields["joints"], "joints").items()},
+        claims={int(robot): _whole(claim, "claims") for robot, claim in known.items()},
     )
 
 
@@ -184,30 +189,34 @@ class AgentBoard:
     Args:
         robot: id of this robot.
         session: number that it drew when it started; None where it only listens.
-        config: when robots are forgotten.
         team: ids of the robots that count; all if empty.
         key: of the team; without one every message is taken for genuine.
+
+    Attributes:
+        origin: names the frame of this robot's map: those in others are known, but not present,
+            as nobody can say where they are. 0 where that is of no matter.
     """
+
+    origin = 0
 
     def __init__(
         self,
         robot: int,
         session: int | None,
-        config: AgentBoardConfig | None = None,
         team: Collection[int] = (),
         key: TeamKey | None = None,
     ) -> None:
-        self.config, self._key = config or AgentBoardConfig(), key
+        self._key = key
         self._robot, self._listens = robot, session is None
-        self._membership = Membership(robot, session, team, self.config.silence)
+        self._membership = Membership(robot, session, team, SILENCE)
         self._agents: dict[int, Agent] = {}
-        self._heard: dict[int, float] = {}
+        self._received: dict[int, float] = {}
         self._newest: dict[int, int] = {}
         self._past: dict[int, float] = {}
         self._now = -math.inf
 
-    def hear(self, text: str, now: float, own_version: int = 0) -> Agent | None:
-        """Learn what a robot tells of itself.
+    def receive(self, text: str, now: float, own_version: int = 0) -> Agent | None:
+        """Learn what a robot reports of itself.
 
         Args:
             text: as `team.agent_text.agent_to_text` writes it.
@@ -215,13 +224,13 @@ class AgentBoard:
             own_version: the newest version of this robot.
 
         Returns:
-            What it tells, if that is news: neither this robot's own words nor older than what is
+            What it reports, if that is new: neither this robot's own words nor older than what is
             known.
 
         Raises:
             InvalidInputError: the text is malformed, or says something impossible.
             UpdateRefusedError: it is not of this team, two robots have one id, or its version is
-                impossible after those that were heard.
+                impossible after those that were received.
         """
         agent = agent_from_text(text, self._key)
         self._now = now
@@ -236,16 +245,16 @@ class AgentBoard:
             self._past[agent.robot] = now
             return None
         self._agents[agent.robot] = agent
-        self._heard[agent.robot] = now
+        self._received[agent.robot] = now
         self._past.pop(agent.robot, None)
         self._newest[agent.robot] = agent.version
         return agent
 
     def _is_past(self, agent: Agent, is_known: bool) -> bool:
-        """Whether a robot has told something newer before.
+        """Whether a robot has reported something newer before.
 
         Who was silent for long and starts again with a clock that was never set cannot catch up,
-        and is heard.
+        and reports.
         """
         newest = self._newest.get(agent.robot)
         if newest is None or is_newer(agent.version, newest):
@@ -254,17 +263,22 @@ class AgentBoard:
         return not (starts_again and versions_ahead(newest, agent.version) > MOST_FOLLOWED)
 
     def present(self, now: float) -> tuple[Agent, ...]:
-        """The others that were heard lately, by id; their goals count."""
+        """The others that have reported lately, by id; their goals count."""
         return tuple(
             agent
             for robot, agent in sorted(self._agents.items())
-            if now - self._heard[robot] <= self.config.silence
+            if now - self._received[robot] <= SILENCE and self.shares_frame(agent)
         )
 
     def remembered(self, now: float) -> tuple[Agent, ...]:
         """All whose bodies count, by id: those that are present and those silent for long."""
         self._forget(now)
-        return tuple(agent for _, agent in sorted(self._agents.items()))
+        known = (agent for _, agent in sorted(self._agents.items()))
+        return tuple(agent for agent in known if self.shares_frame(agent))
+
+    def shares_frame(self, agent: Agent) -> bool:
+        """Whether it can be said where a robot is in the map of this one."""
+        return are_one_frame(agent.origin, self.origin)
 
     def claims(self, now: float) -> dict[int, int]:
         """Claims of the others that are known, by their ids."""
@@ -272,10 +286,9 @@ class AgentBoard:
 
     def past(self) -> dict[int, int]:
         """Newest versions that are known of robots that spoke with older ones lately, by id."""
-        silence = self.config.silence
-        return {r: self._newest[r] for r, at in self._past.items() if self._now - at <= silence}
+        return {r: self._newest[r] for r, at in self._past.items() if self._now - at <= SILENCE}
 
     def _forget(self, now: float) -> None:
-        silent = [r for r, heard in self._heard.items() if now - heard > self.config.memory]
+        silent = [r for r, at in self._received.items() if now - at > _MEMORY]
         for robot in silent:
-            del self._heard[robot], self._agents[robot]
+            del self._received[robot], self._agents[robot]

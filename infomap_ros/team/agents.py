@@ -1,14 +1,14 @@
-"""Who is where and wants what: what the robots of a team tell of themselves.
+"""Who is where and wants what: what the robots of a team report of themselves.
 
-Each robot tells, a few times a second, its pose with covariance, its joints, what it is doing, the
-view that it is heading for and the way there. So others plan around it, leave to it what it is
+Each robot reports, a few times a second, its pose with covariance, its joints, its state, the
+view that it is heading for and the path there. So others plan around it, leave to it what it is
 about to see, and cut its body from their scans.
 
 A goal is claimed: claims are numbered by versions, and each says which claims of the others were
 known when it was made. Of two claims that were made without knowledge of each other, that of the
 smaller id holds; no clocks are compared.
 
-How robots hear of each other: the parameters.
+How robots learn of each other: the parameters.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry import PinholeCamera, check_covariance, check_transform
 from infomap_ros.geometry.config import check_config, setting
 from infomap_ros.geometry.transforms import FloatArray, float_array
-from infomap_ros.team.update import MAX_ROBOT, MAX_SESSION, MAX_VERSION, is_newer
+from infomap_ros.team.update import MAX_ORIGIN, MAX_ROBOT, MAX_SESSION, MAX_VERSION, is_newer
 
 _MOST_WAYPOINTS, _MOST_JOINTS, _MOST_KNOWN = 200, 200, 1024
 _LONGEST_STATE, _LONGEST_NAME = 80, 255
@@ -36,7 +36,7 @@ _SIGMAS = 3.0
 
 @dataclass(frozen=True, eq=False)
 class Agent:
-    """What a robot tells of itself.
+    """What a robot reports of itself.
 
     Attributes:
         robot: its id, unique in its team.
@@ -53,10 +53,10 @@ class Agent:
         state: what it is doing, in words.
         joints: positions by name [rad or m].
         goal: ``T_map_camera`` of the view that it is heading for, shape (4, 4); None without one.
-        way: base poses (x, y, yaw) on the way there, shape (K, 3) [m, rad, map]; the last one is
+        path: base poses (x, y, yaw) on the path there, shape (K, 3) [m, rad, map]; the last one is
             where it is going to stand.
         claim: version at which that goal was claimed, or the one before was given up.
-        heard: claims of the others that it knew when it chose, by their ids.
+        claims: claims of the others that it knew when it chose, by their ids.
         radius: no point of its body is farther from the axis of its base [m].
         bottom: lowest point of its body in its base frame [m].
         top: highest point of its body in its base frame [m].
@@ -64,6 +64,7 @@ class Agent:
         description_hash: of the text on that topic, see `hash_of_description`; who does not know
             it cannot trust what it reads there. Empty where nothing was read.
         base_frame: link whose pose `T_map_base` is; the root link where empty.
+        origin: names the frame of its map, in which all this is, as in `PoseUncertainty`.
 
     Raises:
         InvalidInputError: something is impossible; names it.
@@ -82,15 +83,16 @@ class Agent:
     state: str = "idle"
     joints: Mapping[str, float] = field(default_factory=dict)
     goal: FloatArray | None = None
-    way: FloatArray = field(default_factory=lambda: np.empty((0, 3)))
+    path: FloatArray = field(default_factory=lambda: np.empty((0, 3)))
     claim: int = 0
-    heard: Mapping[int, int] = field(default_factory=dict)
+    claims: Mapping[int, int] = field(default_factory=dict)
     radius: float = 0.5
     bottom: float = -0.1
     top: float = 1.0
     description: str = ""
     description_hash: str = ""
     base_frame: str = ""
+    origin: int = 0
 
     def __post_init__(self) -> None:
         _check_numbers(self)
@@ -103,14 +105,14 @@ class Agent:
             if np.abs(checked).max() > _FARTHEST**2:
                 raise InvalidInputError("agent covariance", "is larger than any error can be")
             object.__setattr__(self, "covariance", checked)
-        way = float_array(self.way, "agent way").reshape(-1, 3)
-        if len(way) > _MOST_WAYPOINTS or not (np.abs(way) <= _FARTHEST).all():
-            raise InvalidInputError("agent way", f"{len(way)} places, or one is impossible")
-        object.__setattr__(self, "way", way)
+        path = float_array(self.path, "agent path").reshape(-1, 3)
+        if len(path) > _MOST_WAYPOINTS or not (np.abs(path) <= _FARTHEST).all():
+            raise InvalidInputError("agent path", f"{len(path)} places, or one is impossible")
+        object.__setattr__(self, "path", path)
 
     @property
     def versions(self) -> NDArray[np.uint32]:
-        """Of all that it tells, shape (1,)."""
+        """Of all that it reports, shape (1,)."""
         return np.array([self.version], np.uint32)
 
     @property
@@ -133,7 +135,7 @@ class Agent:
 
 def knows(mate: Agent, robot: int, claim: int) -> bool:
     """Whether a teammate knew a claim of a robot, or a later one, when it chose its own goal."""
-    known = mate.heard.get(robot, 0)
+    known = mate.claims.get(robot, 0)
     return known == claim or (known != 0 and bool(is_newer(known, claim)))
 
 
@@ -145,6 +147,7 @@ def _check_numbers(agent: Agent) -> None:
         ("stamp", agent.stamp, 0, 2**63 - 1),
         ("since", agent.since, 0, agent.stamp),
         ("claim", agent.claim, 0, MAX_VERSION),
+        ("origin", agent.origin, 0, MAX_ORIGIN),
         ("max_range", agent.max_range, 1e-3, _FARTHEST),
         ("radius", agent.radius, 0.0, _LARGEST),
         ("bottom", agent.bottom, -_LARGEST, _LARGEST),
@@ -153,9 +156,9 @@ def _check_numbers(agent: Agent) -> None:
     for name, value, low, high in numbers:
         if not low <= value <= high:
             raise InvalidInputError(f"agent {name}", f"{value}, expected {low} to {high}")
-    known = all(0 <= r <= MAX_ROBOT and 0 <= n <= MAX_VERSION for r, n in agent.heard.items())
-    if len(agent.heard) > _MOST_KNOWN or not known:
-        raise InvalidInputError("agent heard", f"{len(agent.heard)} robots")
+    known = all(0 <= r <= MAX_ROBOT and 0 <= n <= MAX_VERSION for r, n in agent.claims.items())
+    if len(agent.claims) > _MOST_KNOWN or not known:
+        raise InvalidInputError("agent claims", f"{len(agent.claims)} robots")
     positions = np.array(list(agent.joints.values()), dtype=np.float64)
     if len(positions) > _MOST_JOINTS or not (np.abs(positions) <= _FARTHEST).all():
         raise InvalidInputError("agent joints", f"{dict(list(agent.joints.items())[:5])}")
@@ -186,55 +189,13 @@ def _checked_pose(pose: FloatArray, name: str) -> FloatArray:
 
 
 @dataclass(frozen=True)
-class AgentBoardConfig:
-    """For how long what a teammate has told counts.
+class AgentsConfig:
+    """What a robot makes of what the others report.
 
     Raises:
         ConfigError: a value is out of its range.
     """
 
-    silence: float = setting(
-        5.0,
-        "What a teammate was heading for no longer counts when it was not heard for so long.",
-        unit="s",
-        low=0.1,
-        high=3600.0,
-    )
-    memory: float = setting(
-        60.0,
-        "Its body still counts for so long; then it is part of the scene, if it stands there.",
-        unit="s",
-        low=0.1,
-        high=86400.0,
-    )
-
-    def __post_init__(self) -> None:
-        check_config(self)
-
-
-@dataclass(frozen=True)
-class AgentsConfig(AgentBoardConfig):
-    """How a robot tells of itself, and what it makes of what the others tell.
-
-    Raises:
-        ConfigError: a value is out of its range.
-    """
-
-    period: float = setting(
-        0.2,
-        "Time between two messages about this robot, in time of the data.",
-        unit="s",
-        low=0.01,
-        high=60.0,
-    )
-    settling: float = setting(
-        0.3,
-        "After a goal is claimed, time in which claims that teammates made at the same moment are "
-        "waited for: longer than a message takes.",
-        unit="s",
-        low=0.0,
-        high=60.0,
-    )
     idle_timeout: float = setting(
         120.0,
         "Where teammates leave no view that is worth its cost, this robot waits as long as they go "
@@ -243,17 +204,6 @@ class AgentsConfig(AgentBoardConfig):
         low=0.0,
         high=3600.0,
     )
-    goal_time: float = setting(
-        300.0,
-        "A goal that was claimed longer ago is given up, in time of the data.",
-        unit="s",
-        low=1.0,
-        high=86400.0,
-    )
-    clearance: float = setting(
-        0.3,
-        "Distance that is kept between the bodies, and to the places where teammates are going.",
-        unit="m",
-        low=0.0,
-        high=10.0,
-    )
+
+    def __post_init__(self) -> None:
+        check_config(self)

@@ -44,7 +44,7 @@ class Agreement:
 
 
 def compare(first: Contribution, second: Contribution) -> Agreement:
-    """Compare what two robots told where both know something."""
+    """Compare what two robots sent where both know something."""
     return _compare(_evidence_in(first, second), _evidence_in(second, first))
 
 
@@ -68,11 +68,11 @@ def _evidence_of(voxel_map: VoxelMap) -> _Evidence:
 def _evidence_in(part: Contribution, other: Contribution) -> _Evidence:
     """That in the blocks that both hold."""
     slots = part.slots_in(0, other.coordinates(np.arange(other.blocks)))
-    told = part.states(0, slots)
-    known = told.log_odds != NOT_OBSERVED
-    keys = pack_all(told.indices[known].astype(np.int64))
+    states = part.states(0, slots)
+    known = states.log_odds != NOT_OBSERVED
+    keys = pack_all(states.indices[known].astype(np.int64))
     order = np.argsort(keys)
-    return keys[order], told.log_odds[known][order]
+    return keys[order], states.log_odds[known][order]
 
 
 def _against(

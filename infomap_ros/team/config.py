@@ -1,4 +1,4 @@
-"""Configuration of what a robot tells its team and asks of it.
+"""Configuration of what a robot sends its team and asks of it.
 
 How much of this robot's memory, processor and bandwidth the others can take.
 
@@ -22,7 +22,7 @@ class TeamConfig:
 
     bandwidth: float = parameter(
         5.0,
-        "What this robot sends of the map at the most, on average; what tells most goes first.",
+        "What this robot sends of the map at the most, on average; most information first.",
         unit="MB/s",
         low=0.001,
         high=1000.0,
@@ -37,28 +37,14 @@ class TeamConfig:
     )
     digest_period: float = setting(
         0.1,
-        "Time between two digests of what was told, and two rounds of requests.",
+        "Time between two digests of what was sent, and two rounds of requests.",
         unit="s",
         low=0.02,
         high=60.0,
     )
-    summary_period: float = setting(
-        1.0,
-        "Time between two summaries of all that this robot holds.",
-        unit="s",
-        low=0.05,
-        high=600.0,
-    )
-    request_timeout: float = setting(
-        0.2,
-        "Time until what was asked for and has not come is asked for again.",
-        unit="s",
-        low=0.05,
-        high=60.0,
-    )
     silence: float = setting(
         5.0,
-        "A robot that was not heard for so long is taken to be gone: others answer for it.",
+        "A robot that has sent nothing for so long is taken to be gone: others answer for it.",
         unit="s",
         low=0.5,
         high=3600.0,
@@ -67,7 +53,7 @@ class TeamConfig:
     recovery: float = setting(
         10.0,
         "For so long after the start, what others know of this robot's contribution is put into "
-        "its map again; then all of its map is told.",
+        "its map again; then all of its map is sent.",
         unit="s",
         low=0.0,
         high=3600.0,
@@ -75,6 +61,10 @@ class TeamConfig:
 
     def __post_init__(self) -> None:
         check_config(self)
+
+
+REQUEST_TIMEOUT = 0.2
+"""Time until what was asked for and has not come is asked for again [s]."""
 
 
 class Budget:
@@ -104,8 +94,8 @@ class Budget:
 MOST_ROBOTS = 64
 """Robots of which anything is kept where no team list says more.
 
-A replica sums over its robots for each voxel that it hears, and 32 robots already tell half of what
-one core can hear (docs/team.md).
+A replica sums over its robots for each voxel that it receives, and 32 robots already send half of
+what one core can receive (docs/team.md).
 """
 
 MOST_MISSED = 1 << 14
@@ -136,7 +126,7 @@ MOST_WANTED = 32
 MOST_BLOCKS_TAKEN_BACK = 1 << 14
 """Blocks that others hold of an earlier start, and that are taken back after the recovery.
 
-Each takes 2.6 kB, so 43 MB. What more they hold stays with them; it was true when it was told.
+Each takes 2.6 kB, so 43 MB. What more they hold stays with them; it was true when it was sent.
 """
 
 TAKEN_BACK_SHARE = 0.02
@@ -146,15 +136,15 @@ MOST_RECOVERED = 1 << 20
 """Voxels that others know of this robot and that wait to be put into its map; 40 MB."""
 
 TALK_SHARE = 0.15
-"""Part of the bandwidth that each of these may take: digests of what this robot told, digests that
+"""Part of the bandwidth that each of these may take: digests of what this robot sent, digests that
 others ask for, and requests. The rest is left for the map itself, whatever the others say."""
 
 GUESTS_MOST, BORROWED_MOST, ROOM_AFTER = 0.9, 0.75, 0.6
 """Parts of the memory limit: for which others' contributions leave room, and which they leave.
 
-Others tell into the shared map until 0.9 of the limit is used, so that what this robot tells always
-fits; beyond an equal share only until 0.75 is used, so that who needs less than its share gets it;
-and where there is no room, what informs least is dropped until 0.6 is used.
+Others write into the shared map until 0.9 of the limit is used, so that what this robot sends
+always fits; beyond an equal share only until 0.75 is used, so that who needs less than its share
+gets it; and where there is no room, what informs least is dropped until 0.6 is used.
 """
 
 ROOM_PERIOD = 60.0

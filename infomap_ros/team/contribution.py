@@ -1,8 +1,8 @@
-"""What one robot told of its part of the map, as every replica keeps it.
+"""What one robot reported of its part of the map, as every replica keeps it.
 
-States are kept in the codes of the wire, so that hashes of what was heard are the same on every
+States are kept in the codes of the wire, so that hashes of what was received are the same on every
 machine and states can be passed on unchanged. A hash is a sum over voxels: the order in which
-they were heard does not matter, and which parts differ is found by comparing hashes of parts.
+they were received does not matter, and which parts differ is found by comparing hashes of parts.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ BLOCK_BYTES = 5 * BLOCK_VOXELS + 12
 CODE_BYTES = 20
 """Memory of a surface point's code [bytes]."""
 
-_FIRST_BLOCKS = 8  # for which there is room at first: a robot that tells of one voxel costs 30 kB
+_FIRST_BLOCKS = 8  # for which there is room at first: a robot with one voxel costs 30 kB
 _KEPT_AT_ONCE = 4096  # blocks that are copied in one go
 Corners = NDArray[np.int32]
 
@@ -52,7 +52,7 @@ class Planes(NamedTuple):
 
     Attributes:
         log_odds: `NOT_OBSERVED` where nothing is known, shape (n, 512), int8.
-        versions: of each voxel's state, 0 where nothing was told, shape (n, 512), uint32.
+        versions: of each voxel's state, 0 where nothing was sent, shape (n, 512), uint32.
         newest: version of the block, uint32.
         hashes: sum of the hashes of the block's states, uint64.
     """
@@ -78,19 +78,20 @@ class Cells(NamedTuple):
 
 
 class Contribution:
-    """The newest state of every voxel of which a robot told.
+    """The newest state of every voxel that a robot sent.
 
     Args:
         voxel_size: edge of a voxel [m].
+        origin: names the frame in which all of it is, as in `MapUpdate`.
 
     Attributes:
         newest: the newest version of all states, 0 before the first.
         is_cut: whether blocks were dropped for want of memory: then it is no longer what the robot
-            told, and not compared with what others hold of it.
+            sent, and not compared with what others hold of it.
     """
 
-    def __init__(self, voxel_size: float) -> None:
-        self._size = voxel_size
+    def __init__(self, voxel_size: float, origin: int = 0) -> None:
+        self._size, self.origin = voxel_size, origin
         self._blocks: BlockArrays = _few_blocks()
         self._codes = empty_codes()
         self._planes = Planes(
@@ -116,7 +117,7 @@ class Contribution:
         return sum(array.nbytes for part in self.arrays for array in part)
 
     def count_new(self, indices: NDArray[np.int32]) -> int:
-        """Number of blocks of voxels, shape (K, 3), of which nothing was told; at the most."""
+        """Number of blocks of voxels, shape (K, 3), of which nothing was sent; at the most."""
         corners = np.empty((int(count_block_changes(indices)), 3), np.int32)
         kernels.list_blocks(indices, corners)
         slots = np.full(len(corners), -1, np.int64)
@@ -124,7 +125,7 @@ class Contribution:
         return int(np.count_nonzero(slots < 0))
 
     def count_new_surfaces(self, update: MapUpdate) -> int:
-        """Number of surface points of an update of whose voxels no surface was told."""
+        """Number of surface points of an update of whose voxels no surface was sent."""
         states = update.indices, update.codes
         return int(kernels.count_new_codes(self._blocks, self._codes, *states))
 
@@ -138,7 +139,7 @@ class Contribution:
         return slots * (KEY_BYTES + 4 + BLOCK_BYTES) + 4 * table + (CODE_BYTES + 8) * codes
 
     def accept(self, update: MapUpdate) -> NDArray[np.bool_]:
-        """Keep the states that are newer than what was heard.
+        """Keep the states that are newer than what was received.
 
         Returns:
             Which states are other than before, shape (K,).
@@ -160,9 +161,9 @@ class Contribution:
                 self.newest = int(version)
         return changed
 
-    def most_telling(self, share: float, priority: NDArray[np.float64]) -> Contribution:
+    def most_informative(self, share: float, priority: NDArray[np.float64]) -> Contribution:
         """A contribution with that share of the blocks that is worth most, shape (blocks,)."""
-        kept = Contribution(self._size)
+        kept = Contribution(self._size, self.origin)
         chosen = np.sort(np.argsort(-priority, kind="stable")[: int(share * self.blocks)])
         for start in range(0, len(chosen), _KEPT_AT_ONCE):
             kept.accept(self.states(0, chosen[start : start + _KEPT_AT_ONCE]))
@@ -198,7 +199,7 @@ class Contribution:
             slots: numbers of the blocks, all if None.
         """
         slots = np.arange(self.blocks) if slots is None else slots
-        count = int(kernels.count_told(self._planes, slots))
+        count = int(kernels.count_known(self._planes, slots))
         update = MapUpdate(
             self._size,
             robot,
@@ -206,13 +207,14 @@ class Contribution:
             np.zeros((count, 3), np.int32),
             np.zeros(count, np.int8),
             np.zeros((count, 2), np.uint64),
+            origin=self.origin,
         )
         states = update.indices, update.versions, update.log_odds, update.codes
-        kernels.list_told(self._blocks, self._planes, self._codes, slots, *states)
+        kernels.list_known(self._blocks, self._planes, self._codes, slots, *states)
         return update
 
     def versions_of(self, indices: NDArray[np.int32]) -> NDArray[np.uint32]:
-        """Versions of what was told of voxels, 0 where nothing was, shape (K, 3) -> (K,)."""
+        """Versions of what was reported of voxels, 0 where nothing was, shape (K, 3) -> (K,)."""
         slots = np.full(len(indices), -1, np.int64)
         kernels.find_blocks(self._blocks, indices >> BLOCK_BITS, slots)
         places = indices & (BLOCK_SIDE - 1)
@@ -253,7 +255,7 @@ class Contribution:
         return np.array([own.get(corner, 0) != value for corner, value in pairs], np.bool_)
 
     def blocks_at(self, corners: Corners) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
-        """Hashes of blocks as in `cells`, and their newest versions; 0 where nothing was told."""
+        """Hashes of blocks as in `cells`, and their newest versions; 0 where nothing was sent."""
         slots = np.full(len(corners), -1, np.int64)
         kernels.find_blocks(self._blocks, corners, slots)
         hashes = np.zeros(len(slots), np.uint64)

@@ -177,8 +177,8 @@ def add_contribution(
 
 
 @kernel
-def count_told(planes: Any, slots: Any) -> int:
-    """Number of voxels of some blocks of which a state was told."""
+def count_known(planes: Any, slots: Any) -> int:
+    """Number of voxels of some blocks of which a state was sent."""
     total = 0
     for slot in slots:
         for local in range(BLOCK_VOXELS):
@@ -187,7 +187,7 @@ def count_told(planes: Any, slots: Any) -> int:
 
 
 @kernel
-def list_told(
+def list_known(
     blocks: Any,
     planes: Any,
     codes: Any,

@@ -6,12 +6,12 @@ As map updates, they are rows of named fields with the header in the name of one
   number of blocks, and a hash of all states.
 - Cells are hashes of parts of one contribution: cubes of 2^level blocks of 8^3 voxels.
 - A request asks one robot for the cells or for the states of such cubes, without rows for all; or
-  for map updates that it told, by their serial numbers.
+  for map updates that it sent, by their serial numbers.
 
 Each carries its sender's session and its number in it (`infomap_ros.team.digest`), and a request
 the session of who is asked: a request to one that has ended is void.
 
-Which digests and requests are heard for the first time.
+Which digests and requests are received for the first time.
 
 Each carries the session of its sender and a number that goes up by one with each of them; so what a
 stranger has recorded and repeats is refused, also where it is signed.
@@ -42,18 +42,18 @@ from infomap_ros.team.update import MAX_ROBOT, MAX_SERIAL, MAX_SESSION, MAX_VERS
 
 REPEATED = "repeated message"
 MAX_NUMBER = 2**62
-_WINDOW = 256  # messages; what is late by more is asked for or told again anyway
+_WINDOW = 256  # messages; what is late by more is asked for or sent again anyway
 _KEPT_SESSIONS = 16
 
 
 class Freshness:
-    """Remembers for each robot which numbers were heard."""
+    """Remembers for each robot which numbers were received."""
 
     def __init__(self) -> None:
-        self._heard: dict[int, dict[int, tuple[int, int]]] = {}
+        self._received: dict[int, dict[int, tuple[int, int]]] = {}
 
     def check(self, sender: int, session: int, number: int) -> None:
-        """Refuse what was heard before, or is late by more than the window.
+        """Refuse what was received before, or is late by more than the window.
 
         Args:
             sender: id of the robot; whoever calls limits how many there are.
@@ -63,7 +63,7 @@ class Freshness:
         Raises:
             UpdateRefusedError: it is refused.
         """
-        sessions = self._heard.setdefault(sender, {})
+        sessions = self._received.setdefault(sender, {})
         newest, seen = sessions.get(session, (number - 1, 0))
         ahead = number - newest
         if ahead <= 0 and (ahead <= -_WINDOW or seen >> -ahead & 1):
@@ -85,7 +85,7 @@ REQUEST_ROW = np.dtype([("corner", "<i4", (3,))])
 MAX_LEVEL = 8
 _CORNER_LIMIT = COORDINATE_LIMIT >> BLOCK_BITS
 MAX_SUMMARY = 1024
-"""Contributions that a summary tells of, at the most."""
+"""Contributions that a summary has, at the most."""
 _OVERHEAD = 500  # [bytes]
 
 
@@ -121,11 +121,11 @@ class CellDigest:
     """Hashes of parts of a contribution.
 
     Attributes:
-        sender: id of the robot that tells them.
+        sender: id of the robot that sends them.
         session: number that it drew when it started.
         robot: id of the robot whose contribution it is.
         version: newest version of the contribution when they were made.
-        serial: of the last map update that the sender told.
+        serial: of the last map update that the sender sent.
         level: see module.
         corners: of the cubes in units of their edge, shape (n, 3), int32.
         hashes: shape (n,), uint32; 0 where nothing is known.
@@ -301,11 +301,11 @@ def _checked_corners(table: NDArray[np.void], what: str) -> NDArray[np.int32]:
 
 
 class _Block(NamedTuple):
-    """How a block should be: hash and version; since when that is heard; how often asked for."""
+    """How a block should be: hash and version; since when that is known; how often asked for."""
 
     hash: int
     version: int
-    heard: float
+    since: float
     tries: int
 
 
@@ -331,7 +331,7 @@ class Missed:
         """Ids of the robots whose contributions lack something."""
         return tuple(self._blocks)
 
-    def hear(self, digest: CellDigest, now: float) -> None:
+    def receive(self, digest: CellDigest, now: float) -> None:
         """Remember what a digest says; where there are too many, the oldest of the most go."""
         self._sender[digest.robot] = digest.sender
         blocks = self._blocks.setdefault(digest.robot, {})
@@ -364,9 +364,9 @@ class Missed:
         self._drop_mended(blocks, part)
         due = []
         for corner, block in list(blocks.items()):
-            if block.tries >= MOST_TRIES or now - block.heard > MISSED_FOR:
+            if block.tries >= MOST_TRIES or now - block.since > MISSED_FOR:
                 del blocks[corner]
-            elif now - block.heard >= self._late + block.tries * self._request_timeout:
+            elif now - block.since >= self._late + block.tries * self._request_timeout:
                 blocks[corner] = block._replace(tries=block.tries + 1)
                 due.append(corner)
         if not blocks:

@@ -1,7 +1,7 @@
-"""Surface points in 14 bytes: the code in which robots tell each other a voxel's Gaussian.
+"""Surface points in 14 bytes: the code in which robots send each other a voxel's Gaussian.
 
-The mean is told relative to the voxel's center in steps of 2^-15 of the voxel size. The covariance
-is told by its axes: the direction of the smallest spread (the surface's normal, on an octahedron
+The mean is coded relative to the voxel's center in steps of 2^-15 of the voxel size. The covariance
+is coded by its axes: the direction of the smallest spread (the surface's normal, on an octahedron
 with 2 x 16 bits), the roll of the other two axes about it in steps of 180/256 degrees, and the
 three standard deviations in voxels as powers of 2^(1/12). So every code is a positive definite
 matrix, and its error stays below a tenth of the standard deviation in every direction as long as

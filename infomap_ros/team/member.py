@@ -1,4 +1,4 @@
-"""One robot of a team: tells its contribution, hears the others', and mends what was lost.
+"""One robot of a team: sends its contribution, receives the others', and mends what was lost.
 
 It knows neither network nor clock: messages are rows that somebody carries, times are handed in.
 """
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from infomap_ros.mapping import NOT_OBSERVED, VoxelMap, VoxelMapConfig
 from infomap_ros.mapping.voxels.block_kernels import find_block
-from infomap_ros.mapping.voxels.keys import BLOCK_BITS, BLOCK_COUNT, local_index, pack
+from infomap_ros.mapping.voxels.keys import BLOCK_BITS, local_index, pack
 from infomap_ros.mapping.voxels.state import (
     VoxelStates,
     count_block_changes,
@@ -34,10 +34,10 @@ from infomap_ros.team.contribution import BLOCK_BYTES
 from infomap_ros.team.digest import Freshness, Summary, decode_digest, decode_request
 from infomap_ros.team.gaussian_code import information_of_codes
 from infomap_ros.team.membership import Membership, TeamKey
-from infomap_ros.team.outbox import Outbox
+from infomap_ros.team.outbox import Outbox, mark_all
 from infomap_ros.team.reconciler import Reconciler
 from infomap_ros.team.replica import MapReplica
-from infomap_ros.team.update import MapUpdate, message_bytes
+from infomap_ros.team.update import MapUpdate, are_one_frame, message_bytes
 from infomap_ros.team.wire import decode_update
 
 Rows = NDArray[np.void]
@@ -48,9 +48,9 @@ class TeamMember:
     """A robot of a team.
 
     What it saw stands in its own map, which tracks its changes and is handed in whenever there is
-    something to tell. For `recovery` seconds after a start, what others still know of its
+    something to send. For `recovery` seconds after a start, what others still know of its
     contribution is put into its map again, but for voxels that changed since; then all of its map
-    is told.
+    is sent.
 
     Args:
         robot: id of this robot, unique in its team.
@@ -59,11 +59,11 @@ class TeamMember:
         map_config: of the shared map.
         config: how it shares.
         team: ids of the robots that may write; all if empty.
-        tells: whether it has a contribution; otherwise it only listens, and asks.
+        contributes: whether it has a contribution; otherwise it only listens, and asks.
         key: of the team; without it every message is taken for genuine.
 
     Attributes:
-        replica: the shared map.
+        replica: the shared map; what is in another frame is kept aside (`MapReplica`).
         contradictions: robots whose maps contradict this robot's: they are kept, but left out of
             the shared map here until they fit.
     """
@@ -77,22 +77,22 @@ class TeamMember:
         config: TeamConfig | None = None,
         team: Collection[int] = (),
         *,
-        tells: bool = True,
+        contributes: bool = True,
         key: TeamKey | None = None,
     ) -> None:
         self._config = config or TeamConfig()
         self.replica = MapReplica(map_config, robot)
-        self._membership = Membership(robot, session if tells else None, team, self._config.silence)
+        shown = session if contributes else None
+        self._membership = Membership(robot, shown, team, self._config.silence)
         self._outbox = Outbox(robot, session, version, self.replica, self._config)
         self._reconciler = Reconciler(
-            self.replica, self._outbox, self._config, tells, self._membership.may_be_kept
+            self.replica, self._outbox, self._config, contributes, self._membership.may_be_kept
         )
-        self._freshness, self._made_room = Freshness(), -np.inf
+        self._freshness, self._made_room, self._reviewed = Freshness(), -np.inf, -np.inf
         self._taken_back: set[tuple[int, ...]] = set()
         limit = TAKEN_BACK_SHARE * map_config.memory_limit * 1e9
         self._most_taken_back = min(MOST_BLOCKS_TAKEN_BACK, int(limit) // BLOCK_BYTES)
-        self._tells, self._key = tells, key
-        self._reviewed = -np.inf
+        self._contributes, self._key = contributes, key
         self.contradictions: dict[int, Agreement] = {}
         self._recovered: list[MapUpdate] = []
         self._started, self._has_begun = np.nan, False
@@ -118,13 +118,13 @@ class TeamMember:
         return self._outbox.waiting
 
     def barred_by(self, now: float) -> dict[int, int]:
-        """Robots that hold a version of this robot's that it cannot have told, with that version.
+        """Robots that hold a version of this robot's that it cannot have sent, with that version.
 
-        What this robot tells does not count there, until it starts again.
+        What this robot sends does not count there, until it starts again.
         """
         return self._outbox.own_version.barred_by(now)
 
-    def tell(self, own_map: VoxelMap, now: float) -> list[Rows]:
+    def updates(self, own_map: VoxelMap, now: float) -> list[Rows]:
         """Map updates to send now: what changed, and what others asked for.
 
         Args:
@@ -134,36 +134,38 @@ class TeamMember:
 
         Raises:
             CapacityError: there is no room for what others know of this robot, or for what it
-                tells. What was to be told is told when there is.
+                sends. What was to be sent is sent when there is.
         """
         self._start(now)
         while self._recovered:
-            adopt(own_map, self._recovered.pop())
+            update = self._recovered.pop()
+            if are_one_frame(update.origin, own_map.origin):
+                adopt(own_map, update)
         if not self._has_begun and now >= self._reconciler.recovering_until:
             self._has_begun = True
-            _mark_all(own_map)
-        return self._signed(self._outbox.tell(own_map, now))
+            mark_all(own_map)
+        return self._signed(self._outbox.updates(own_map, now))
 
-    def tell_everything(self) -> None:
-        """Tell the whole own contribution again, for somebody who cannot ask."""
+    def send_everything(self) -> None:
+        """Send the whole own contribution again, for somebody who cannot ask."""
         part = self.replica.contribution(self.robot)
         if part is not None:
             self._outbox.answer(self.robot, np.arange(part.blocks))
 
     def begin(self, own_map: VoxelMap) -> None:
-        """Tell all of a map that this robot made since it started, without waiting for others."""
+        """Send all of a map that this robot made since it started, without waiting for others."""
         self._has_begun = True
-        _mark_all(own_map)
+        mark_all(own_map)
 
     def replace(self, own_map: VoxelMap) -> None:
-        """From now on another map is told; what was told and it does not know is taken back."""
+        """From now on another map is sent; what was sent and it does not know is taken back."""
         self._reconciler.recovering_until = -np.inf
         self._recovered.clear()
         self.begin(own_map)
         part = self.replica.contribution(self.robot)
         if part is not None:
-            told = part.states(self.robot)
-            self._outbox.take_back(told.indices[told.log_odds != NOT_OBSERVED])
+            states = part.states(self.robot)
+            self._outbox.take_back(states.indices[states.log_odds != NOT_OBSERVED])
 
     def digests(self, now: float) -> list[Rows]:
         """Digests to send now, to be called every `digest_period`."""
@@ -181,7 +183,7 @@ class TeamMember:
         """Requests to send now, to be called as often as digests or more often."""
         return self._spend(self._reconciler.requests(now))
 
-    def hear_update(self, rows: Rows, now: float) -> int:
+    def receive_update(self, rows: Rows, now: float) -> int:
         """Learn from a map update.
 
         Returns:
@@ -199,10 +201,10 @@ class TeamMember:
         if update.sender is None:
             self._reconciler.meet(update.robot, update.session, is_sure=False)
         speaker = update.robot if update.sender is None else update.sender
-        if update.serial is not None and (speaker != self.robot or not self._tells):
-            self._reconciler.losses.hear(speaker, update.serial, now)
-        if update.robot != self.robot or not self._tells:
-            if self._tells and update.robot not in self.replica.robots:
+        if update.serial is not None and (speaker != self.robot or not self._contributes):
+            self._reconciler.losses.receive(speaker, update.serial, now)
+        if update.robot != self.robot or not self._contributes:
+            if self._contributes and update.robot not in self.replica.robots:
                 self.replica.set_aside(update.robot, True)
                 self._reviewed = -np.inf
             return self.replica.apply(update)
@@ -210,7 +212,7 @@ class TeamMember:
             self._recover(update, now)
         return 0
 
-    def hear_digest(self, rows: Rows, now: float) -> None:
+    def receive_digest(self, rows: Rows, now: float) -> None:
         """Learn what another robot holds.
 
         Raises:
@@ -220,21 +222,21 @@ class TeamMember:
         self._start(now)
         digest = decode_digest(self._genuine(rows))
         self._membership.check_robot(digest.sender)
-        if digest.sender == self.robot and self._tells:
+        if digest.sender == self.robot and self._contributes:
             return
         self._freshness.check(digest.sender, digest.session, digest.number)
         self._reconciler.meet(digest.sender, digest.session)
         if isinstance(digest, Summary):
             for newest in digest.rows["newest"][digest.rows["robot"] == digest.sender].tolist():
-                self._membership.hear_of_itself(digest.sender, digest.session, newest, now)
-            self._reconciler.hear_summary(digest, now)
+                self._membership.note_version(digest.sender, digest.session, newest, now)
+            self._reconciler.receive_summary(digest, now)
         else:
             if digest.robot == digest.sender:
                 of_itself = digest.sender, digest.session, digest.version
-                self._membership.hear_of_itself(*of_itself, now)
-            self._reconciler.hear_cells(digest, now)
+                self._membership.note_version(*of_itself, now)
+            self._reconciler.receive_cells(digest, now)
 
-    def hear_request(self, rows: Rows, now: float) -> None:
+    def receive_request(self, rows: Rows, now: float) -> None:
         """Learn what another robot asks for.
 
         Raises:
@@ -246,7 +248,7 @@ class TeamMember:
         if request.sender == self.robot and request.session == self._outbox.session:
             return
         self._freshness.check(request.sender, request.session, request.number)
-        self._reconciler.hear_request(request, now)
+        self._reconciler.receive_request(request, now)
 
     def _review(self) -> None:
         """Leave maps out that contradict the own one, and let others in."""
@@ -256,10 +258,13 @@ class TeamMember:
             other = self.replica.contribution(robot)
             if robot == self.robot or other is None:
                 continue
-            found = Agreement(0, 0) if own is None else compare(own, other)
+            is_comparable = self.replica.is_in_frame(robot)  # others are compared when they join
+            found = Agreement(0, 0)
+            if own is not None and is_comparable:
+                found = compare(own, other)
             if found.is_contradiction:
                 self.contradictions[robot] = found
-            self.replica.set_aside(robot, found.is_contradiction)
+            self.replica.set_aside(robot, found.is_contradiction or not is_comparable)
 
     def _start(self, now: float) -> None:
         if np.isnan(self._started):
@@ -267,12 +272,14 @@ class TeamMember:
             self._reconciler.recovering_until = now + self._config.recovery
 
     def _recover(self, update: MapUpdate, now: float) -> None:
-        """Keep what others know of this robot's contribution and it did not tell since it began.
+        """Keep what others know of this robot's contribution and it did not send since it began.
 
         That is put into the map only while the robot recovers; afterwards it is taken back.
         """
         sender = self.robot if update.sender is None else update.sender
         part = self.replica.contribution(self.robot)
+        if part is not None and not are_one_frame(part.origin, update.origin):
+            return
         for version in {int(v) for v in np.unique(update.versions)}:
             self._outbox.own_version.follow(version, sender, now)
         if part is not None:
@@ -300,19 +307,15 @@ class TeamMember:
         return rows if self._key is None else self._key.verify(rows)
 
 
-def _mark_all(own_map: VoxelMap) -> None:
-    own_map.mark_changed(0, int(own_map._storage.blocks.counts[BLOCK_COUNT]))
-
-
 def adopt(own_map: VoxelMap, update: MapUpdate) -> None:
-    """Put told states into a map, but for voxels that have changed; they count as changes.
+    """Put sent states into a map, but for voxels that have changed; they count as changes.
 
-    What a robot told is newer than the file from which it starts again, but not newer than what
+    What a robot sent is newer than the file from which it starts again, but not newer than what
     it sees since then.
 
     Args:
         own_map: tracks its changes since it was read.
-        update: states of its contribution as another robot heard them.
+        update: states of its contribution as another robot received them.
 
     Raises:
         CapacityError: with them it would take more than half of its memory limit.

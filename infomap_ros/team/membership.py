@@ -8,7 +8,7 @@ Messages that only those can write who know the team's key.
 
 A message carries a code over its rows and header: HMAC with SHA-256 (RFC 2104,
 https://doi.org/10.17487/RFC2104), cut to its first 16 bytes. What is repeated by a stranger is
-authentic, but old: states that were told before change nothing.
+authentic, but old: states that were sent before change nothing.
 
 For a message of rows the code is made from the description of a row and the bytes of the rows. The
 description is JSON in ASCII without blanks: a list with one list for each field in the order of the
@@ -38,24 +38,24 @@ TWO_OF_A_NAME = "two robots with one id"
 BACKWARDS = "version goes backwards"
 AHEAD = "version far ahead"
 TOO_MANY = "too many robots"
-TELLS_ITSELF = "is heard itself"
+PUBLISHES_ITSELF = "publishes itself"
 MOST_AHEAD = 1 << 24
 """Versions by which a robot may go on at once: six days at the fastest rate."""
 _MOST_BEHIND = 32 * 600  # versions; ten minutes at the fastest rate
-_BEYOND_OWN = 1 << 29  # versions of who was never heard; half a year, as `own_version` has it
+_BEYOND_OWN = 1 << 29  # versions of who has never sent; half a year, as `own_version` has it
 _KEPT_SESSIONS = 16
 _ALIVE = 30.0  # [s] without a word after which a robot may have started with an earlier clock
 
 
-class Told(Protocol):
-    """What a robot tells: a map update, or of itself.
+class TeamMessage(Protocol):
+    """What a robot sends: a map update, or a report of itself.
 
     Attributes:
         robot: whose it is.
         session: number that this robot drew when it started.
-        version: of what it tells.
-        versions: of all that it tells, shape (K,).
-        sender: id of the robot that tells it, where that is another one.
+        version: of what it sends.
+        versions: of all that it sends, shape (K,).
+        sender: id of the robot that sends it, where that is another one.
     """
 
     @property
@@ -99,7 +99,7 @@ class Membership:
         return robot in self._admitted or len(self._admitted) < MOST_ROBOTS
 
     def knows(self, robot: int, session: int) -> bool:
-        """Whether a robot was heard in a session."""
+        """Whether a robot has sent in a session."""
         return session in self._sessions.get(robot, [])
 
     def check_robot(self, robot: int) -> None:
@@ -117,17 +117,17 @@ class Membership:
             raise UpdateRefusedError(text, TOO_MANY)
         self._admitted.add(robot)
 
-    def check_update(self, update: Told, now: float, own_version: int) -> None:
+    def check_update(self, update: TeamMessage, now: float, own_version: int) -> None:
         """Refuse an update that must not be written.
 
         Args:
-            update: as it was heard.
+            update: as it was received.
             now: time of any steady clock [s].
             own_version: the newest version of this robot.
 
         Raises:
             UpdateRefusedError: its robot or its sender is not on the list, two robots have one
-                id, or its version is impossible after those that were heard.
+                id, or its version is impossible after those that were received.
         """
         if update.sender is not None:
             self.check_robot(update.sender)
@@ -146,23 +146,23 @@ class Membership:
         if (update.versions != update.version).any():
             self._refuse(update, newest, AHEAD)
 
-    def _check_handed_on(self, update: Told, now: float, own_version: int) -> None:
-        """Refuse what others say of a robot that is heard itself, and what it cannot have told.
+    def _check_handed_on(self, update: TeamMessage, now: float, own_version: int) -> None:
+        """Refuse what others say of a robot that publishes itself, and what it cannot have sent.
 
-        Who is silent may have told more than was heard here.
+        Who is silent may have sent more than was received here.
         """
         if update.robot == self._own:
             return
         if now - self._spoke.get(update.robot, -np.inf) < self._grace:
-            text = f"robot {update.sender} tells of robot {update.robot}, which {TELLS_ITSELF}"
-            raise UpdateRefusedError(text, TELLS_ITSELF)
+            text = f"robot {update.sender} reports robot {update.robot}, which {PUBLISHES_ITSELF}"
+            raise UpdateRefusedError(text, PUBLISHES_ITSELF)
         newest, most = self._newest.get(update.robot), MOST_AHEAD
         if newest is None:
             newest, most = own_version, _BEYOND_OWN
         if (versions_ahead(update.versions.astype(np.int64), newest) > most).any():
             self._refuse(update, newest, AHEAD)
 
-    def hear_of_itself(self, robot: int, session: int, version: int, now: float) -> None:
+    def note_version(self, robot: int, session: int, version: int, now: float) -> None:
         """A robot that goes on in its session says which version it has reached."""
         if self._sessions.get(robot, [None])[-1] != session:
             return
@@ -170,15 +170,15 @@ class Membership:
         if 0 < versions_ahead(version, self._newest[robot]) <= MOST_AHEAD:
             self._newest[robot] = version
 
-    def _refuse(self, update: Told, newest: int, reason: str) -> None:
+    def _refuse(self, update: TeamMessage, newest: int, reason: str) -> None:
         text = f"robot {update.robot} is at version {newest}, not at {int(update.versions.max())}"
         raise UpdateRefusedError(f"{text}: {reason}", reason)
 
-    def _is_current(self, update: Told, ahead: int, now: float) -> bool:
+    def _is_current(self, update: TeamMessage, ahead: int, now: float) -> bool:
         """Whether an update is of its robot's present session, which may begin with it.
 
         Raises:
-            UpdateRefusedError: an earlier session goes on, or is heard of for the first time long
+            UpdateRefusedError: an earlier session goes on, or is seen for the first time long
                 after the present one, which is alive, has begun: somebody replays it.
         """
         robot, session = update.robot, update.session

@@ -91,7 +91,7 @@ def merge_maps(
         raise InvalidInputError("maps", "there is none")
     agreement = Agreement(0, 0)
     for first, second in combinations(maps, 2):
-        _check_pair(first, second, has_common_frame)
+        check_pair(first, second, has_common_frame)
         found = _compared(first, second)
         compared = agreement.compared + found.compared
         agreement = Agreement(compared, agreement.contradicted + found.contradicted)
@@ -111,9 +111,12 @@ def aligned_maps(maps: Sequence[NamedMap]) -> list[tuple[NamedMap, Registration]
         All but the first.
 
     Raises:
-        InvalidInputError: one is not found, or in several places; names it.
+        InvalidInputError: one is not found, or in several places, or its voxels or sessions do not
+            fit; names it.
         MissingExtraError: what registers them is not installed.
     """
+    for first, second in combinations(maps, 2):
+        check_pair(first, second, has_common_frame=True)
     found: list[tuple[NamedMap, Registration]] = []
     whole = maps[0].map
     for name, voxel_map in maps[1:]:
@@ -126,17 +129,27 @@ def aligned_maps(maps: Sequence[NamedMap]) -> list[tuple[NamedMap, Registration]
         moved = moved_map(voxel_map, place.T_first_second)
         shared = moved.offset + carry_covariance(place.covariance, -place.T_first_second[:3, 3])
         put_offset(moved._storage, shared)
-        moved.origin, moved.sessions = whole.origin, tuple(sorted(_sessions_of(voxel_map)))
+        moved.origin, moved.sessions = whole.origin, tuple(sorted(sessions_of(voxel_map)))
         found.append((NamedMap(name, moved), place))
     return found
 
 
-def _check_pair(first: NamedMap, second: NamedMap, has_common_frame: bool) -> None:
+def check_pair(
+    first: NamedMap,
+    second: NamedMap,
+    has_common_frame: bool = False,
+    may_share_sessions: bool = False,
+) -> None:
+    """Refuse maps that cannot be joined, or compared.
+
+    Raises:
+        InvalidInputError: voxels differ in size, or origins do, or both hold a session; names them.
+    """
     names = f"{first.name} and {second.name}"
     sizes = [one.map.config.voxel_size for one in (first, second)]
     if sizes[0] != sizes[1]:
         raise InvalidInputError(names, f"have voxels of {sizes[0]:g} m and {sizes[1]:g} m")
-    if _sessions_of(first.map) & _sessions_of(second.map):
+    if not may_share_sessions and sessions_of(first.map) & sessions_of(second.map):
         raise InvalidInputError(names, "hold the same session, which would count twice")
     origins = first.map.origin, second.map.origin
     if 0 not in origins and origins[0] != origins[1] and not has_common_frame:
@@ -156,7 +169,7 @@ def _compared(first: NamedMap, second: NamedMap) -> Agreement:
     return found
 
 
-def _sessions_of(voxel_map: VoxelMap) -> set[int]:
+def sessions_of(voxel_map: VoxelMap) -> set[int]:
     """Of a map that knows none, as older files, all that it holds is one."""
     sessions = set(voxel_map.sessions)
     if not sessions and voxel_map.known_voxels:
@@ -179,18 +192,18 @@ def sum_of_maps(maps: Sequence[VoxelMap]) -> VoxelMap:
         CapacityError: the map could exceed ``memory_limit`` of the first.
     """
     merged = VoxelMap(maps[0].config)
-    is_shared = _share_offset(maps)
+    is_shared = share_offset(maps)
     for part in sorted(maps, key=_digest):
         _add(merged, part, np.zeros((6, 6)) if is_shared else part.offset)
     if is_shared:
         put_offset(merged._storage, maps[0].offset)
     origins = {one.origin for one in maps} - {0}
     merged.origin = origins.pop() if len(origins) == 1 else 0
-    merged.sessions = tuple(sorted(set().union(*map(_sessions_of, maps))))
+    merged.sessions = tuple(sorted(set().union(*map(sessions_of, maps))))
     return merged
 
 
-def _share_offset(maps: Sequence[VoxelMap]) -> bool:
+def share_offset(maps: Sequence[VoxelMap]) -> bool:
     """Whether the error that each map shares as a whole is the same error, or none."""
     offsets = {one.offset.tobytes() for one in maps}
     origins = {one.origin for one in maps}

@@ -79,7 +79,7 @@ def header_of(rows: NDArray[np.void], what: str) -> dict[str, str]:
     """
     names = [name for name in rows.dtype.names or () if name.startswith(_PREFIX)]
     if len(names) != 1 or len(names[0]) > _MAX_LENGTH:
-        raise InvalidInputError(what, f"fields {rows.dtype.names} do not tell whose it is")
+        raise InvalidInputError(what, f"fields {rows.dtype.names} do not say whose it is")
     pairs = [part.partition("=") for part in names[0][len(_PREFIX) :].split(" ")]
     header = {name: value for name, mark, value in pairs if mark and name and value}
     if len(header) != len(pairs):

@@ -1,9 +1,9 @@
-"""What a robot tells of the map, within its bandwidth: what carries most information first.
+"""What a robot sends of the map, within its bandwidth: what carries most information first.
 
 Two streams share the bandwidth: changes of the own contribution, and answers to those who ask for
 what they missed, of any contribution that is held. Both are ordered by bits per byte, in blocks of
 8x8x8 voxels, as their parts would take more bytes; what waits gains on what is new. What changed
-only a little (`team.priority`) is told when nothing else waits.
+only a little (`team.priority`) is sent when nothing else waits.
 """
 
 from __future__ import annotations
@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 from infomap_ros.errors import CapacityError
 from infomap_ros.mapping import NOT_OBSERVED, VoxelMap
 from infomap_ros.mapping.voxels.changes import changed_blocks, take_changes
+from infomap_ros.mapping.voxels.keys import BLOCK_COUNT
 from infomap_ros.mapping.voxels.state import count_block_changes
-from infomap_ros.team.config import Budget, TeamConfig
+from infomap_ros.team.config import REQUEST_TIMEOUT, Budget, TeamConfig
 from infomap_ros.team.contribution import Contribution
 from infomap_ros.team.contribution_kernels import list_blocks
 from infomap_ros.team.own_version import OwnVersion
@@ -39,7 +40,7 @@ class Outbox:
         robot: id of this robot.
         session: number that it drew when it started.
         version: to begin with.
-        replica: what was told and heard.
+        replica: what was sent and received.
         config: of the team.
     """
 
@@ -53,8 +54,8 @@ class Outbox:
         self._since = np.zeros(0)
         self._taken_back = np.empty((0, 3), np.int32)
         self._touched: list[NDArray[np.int32]] = []
-        kept, on_its_way = 2e6 * config.bandwidth, 1.5 * config.request_timeout
-        self._sent = SentMessages(version % MAX_SERIAL, kept, on_its_way)
+        kept, in_transit = 2e6 * config.bandwidth, 1.5 * REQUEST_TIMEOUT
+        self._sent = SentMessages(version % MAX_SERIAL, kept, in_transit)
 
     @property
     def version(self) -> int:
@@ -67,7 +68,7 @@ class Outbox:
         return self._sent.serial
 
     def resend(self, serials: Iterable[int], now: float) -> None:
-        """Tell some messages again, when there is room."""
+        """Send some messages again, when there is room."""
         self._sent.ask(serials, now)
 
     @property
@@ -76,7 +77,7 @@ class Outbox:
         return any(self._answers.values()) or len(self._taken_back) > 0
 
     def answer(self, robot: int, slots: Slots) -> None:
-        """Tell the blocks of a contribution that is held, when there is room."""
+        """Send the blocks of a contribution that is held, when there is room."""
         self._answers.setdefault(robot, set()).update(slots.tolist())
 
     def take_back(self, indices: NDArray[np.int32]) -> None:
@@ -84,13 +85,13 @@ class Outbox:
         self._taken_back = np.concatenate([self._taken_back, indices])
 
     def take_touched(self) -> NDArray[np.int32]:
-        """Blocks of the own contribution that were told since the last call, shape (n, 3)."""
+        """Blocks of the own contribution that were sent since the last call, shape (n, 3)."""
         touched, self._touched = self._touched, []
         if not touched:
             return np.empty((0, 3), np.int32)
         return np.unique(np.concatenate(touched), axis=0)
 
-    def tell(self, voxel_map: VoxelMap | None, now: float) -> list[NDArray[np.void]]:
+    def updates(self, voxel_map: VoxelMap | None, now: float) -> list[NDArray[np.void]]:
         """The messages that may be sent now.
 
         Args:
@@ -100,22 +101,26 @@ class Outbox:
         Returns:
             Rows of map updates, one array a message.
         """
+        if voxel_map is not None and self._replica.begin_frame(self.robot, voxel_map.origin):
+            mark_all(voxel_map)
+            self._answers.pop(self.robot, None)
+            self._taken_back = self._taken_back[:0]
         room = self.budget.available(now)
         if room <= 0.0:
             return []
         again = self._sent.resend(0.7 * room, now)
         room -= sum(message_bytes(rows) for rows in again)
-        messages = self._tell_answers(0.5 * room if voxel_map is not None else room)
+        messages = self._send_answers(0.5 * room if voxel_map is not None else room)
         if voxel_map is not None:
-            self._tell_taken_back(voxel_map, messages)
+            self._send_taken_back(voxel_map, messages)
             left = room - sum(rows.nbytes for rows in messages)
             if left > 0.0:
-                messages += self._tell_changes(voxel_map, left, now)
+                messages += self._send_changes(voxel_map, left, now)
         messages = again + [self._sent.number(rows) for rows in messages]
         self.budget.spend(sum(message_bytes(rows) for rows in messages))
         return messages
 
-    def _tell_answers(self, room: float) -> list[NDArray[np.void]]:
+    def _send_answers(self, room: float) -> list[NDArray[np.void]]:
         messages: list[NDArray[np.void]] = []
         for robot in sorted(self._answers):
             part = self._replica.contribution(robot)
@@ -137,40 +142,40 @@ class Outbox:
         if not len(update.versions):
             return []
         if robot == self.robot:
-            update = update.as_told_by(self.session, None, self.own_version.advance())
+            update = update.as_sent_by(self.session, None, self.own_version.advance())
             self._replica.accept(update)
             self._touched.append(part.coordinates(slots))
         else:
-            update = update.as_told_by(0, self.robot, None)
+            update = update.as_sent_by(0, self.robot, None)
         return encode_update(update, self._config.message_size)
 
-    def _tell_changes(self, voxel_map: VoxelMap, room: float, now: float) -> list[NDArray[np.void]]:
+    def _send_changes(self, voxel_map: VoxelMap, room: float, now: float) -> list[NDArray[np.void]]:
         storage = voxel_map._storage
         slots, _ = changed_blocks(storage)
         if not len(slots):
             return []
-        told = self._replica.contribution(self.robot) or Contribution(voxel_map.config.voxel_size)
-        priority = priority_of_changes(voxel_map, told, slots)
+        size, origin = voxel_map.config.voxel_size, voxel_map.origin
+        sent = self._replica.contribution(self.robot) or Contribution(size, origin)
+        priority = priority_of_changes(voxel_map, sent, slots)
         whole, parts = self._choose(slots, priority, room, now)
         dirty = storage.blocks.dirty
         changed = dirty[slots]
         later = dirty[slots[parts]] & ~priority.matters[parts]
         dirty[slots[parts]] &= priority.matters[parts]
-        size = voxel_map.config.voxel_size
         changes = take_changes(storage, size, _MOST_VOXELS, slots[whole | parts])
         dirty[slots[parts]] |= later
         version = next_version(self.version)
-        update = MapUpdate.of_changes(changes, size, self.robot, version, self.session)
+        update = MapUpdate.of_changes(changes, size, self.robot, version, self.session, origin)
         try:
             return self._publish(update)
         except CapacityError:
-            dirty[slots] = changed  # to be told when there is room
+            dirty[slots] = changed  # to be sent when there is room
             raise
 
     def _choose(
         self, slots: Slots, priority: ChangePriority, room: float, now: float
     ) -> tuple[Mask, Mask]:
-        """Blocks of which all changes are told, and those of which only what matters, (n,) each."""
+        """Blocks of which all changes are sent, and those of which only what matters, (n,) each."""
         bits, sizes = priority.bits, np.maximum(priority.sizes, 1.0)
         matter = np.flatnonzero(priority.sizes[:, 0] > 0.0)
         gain = (1.0 + self._waited(slots[matter], now) / _WAIT) ** 2
@@ -185,7 +190,7 @@ class Outbox:
         return whole, parts & ~whole
 
     def _publish(self, update: MapUpdate) -> list[NDArray[np.void]]:
-        """Encode those states of an update that were not told like that before."""
+        """Encode those states of an update that were not sent like that before."""
         self.own_version.advance()
         update = update.rows(self._replica.accept(update))
         if not len(update.versions):
@@ -195,7 +200,7 @@ class Outbox:
         self._touched.append(blocks)
         return encode_update(update, self._config.message_size)
 
-    def _tell_taken_back(self, voxel_map: VoxelMap, messages: list[NDArray[np.void]]) -> None:
+    def _send_taken_back(self, voxel_map: VoxelMap, messages: list[NDArray[np.void]]) -> None:
         if not len(self._taken_back):
             return
         size = voxel_map.config.voxel_size
@@ -209,7 +214,9 @@ class Outbox:
             np.zeros((count, 2), np.uint64),
         )
         try:
-            messages += self._publish(MapUpdate(size, self.robot, *states, self.session))
+            origin = voxel_map.origin
+            update = MapUpdate(size, self.robot, *states, self.session, origin=origin)
+            messages += self._publish(update)
         except CapacityError:  # what this robot sees comes first; the replica says it is crowded
             self._taken_back = waiting
 
@@ -220,6 +227,11 @@ class Outbox:
             self._since = np.concatenate([self._since, more])
         self._since[slots] = np.minimum(self._since[slots], now)
         return now - self._since[slots]
+
+
+def mark_all(voxel_map: VoxelMap) -> None:
+    """Count all of a map that tracks its changes as changed."""
+    voxel_map.mark_changed(0, int(voxel_map._storage.blocks.counts[BLOCK_COUNT]))
 
 
 def _affordable(priority: NDArray[np.float64], sizes: NDArray[np.float64], room: float) -> Mask:

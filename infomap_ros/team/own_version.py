@@ -1,12 +1,12 @@
 """Which version a robot has reached, and which others may say that it has.
 
 A robot whose clock went back since its last start learns from the others which versions it has
-told, and goes on after them. Who lies about that could send it so far ahead that nobody hears it
+sent, and goes on after them. Who lies about that could send it so far ahead that nobody follows it
 any more, so it follows only as far as the others follow it:
 
-- before it has told anything, half a year beyond its clock (`_BEYOND_CLOCK`), or wherever two
+- before it has sent anything, half a year beyond its clock (`_BEYOND_CLOCK`), or wherever two
   robots say at the same time that it was;
-- afterwards, no further than others let a robot go on that they hear (`membership.MOST_AHEAD`).
+- afterwards, no further than others let a robot go on that they follow (`membership.MOST_AHEAD`).
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from infomap_ros.team.membership import MOST_AHEAD
 from infomap_ros.team.update import CLOCK_RATE, COUNT, is_newer, next_version, versions_ahead
 
 MOST_FOLLOWED = MOST_AHEAD // 2
-"""Versions beyond the first told one that a robot follows; others may have missed that one."""
+"""Versions beyond the first sent one that a robot follows; others may have missed that one."""
 
 _BEYOND_CLOCK = 1 << 29  # versions; a quarter of those that count as newer
 _AT_ONCE = 10.0  # [s] within which two robots say the same
@@ -39,13 +39,13 @@ class OwnVersion:
         self._claims: dict[int, tuple[int, float]] = {}
 
     def advance(self) -> int:
-        """The next version, which is told."""
+        """The next version, which is sent."""
         self.number = next_version(self.number)
         self._first = self.number if self._first is None else self._first
         return self.number
 
     def follow(self, version: int, sender: int, now: float) -> None:
-        """Go on after a version that another robot says was told, if that can be.
+        """Go on after a version that another robot says was sent, if that can be.
 
         Args:
             version: which is said.
@@ -65,12 +65,12 @@ class OwnVersion:
     def barred_by(self, now: float) -> dict[int, int]:
         """Robots that hold a version of this robot that it does not follow, with that version.
 
-        What this robot tells does not count there.
+        What this robot sends does not count there.
         """
         return {
             robot: version
-            for robot, (version, heard) in self._claims.items()
-            if now - heard <= _AT_ONCE and is_newer(np.uint32(version), np.uint32(self.number))
+            for robot, (version, at) in self._claims.items()
+            if now - at <= _AT_ONCE and is_newer(np.uint32(version), np.uint32(self.number))
         }
 
     def _may_be(self, version: int, now: float) -> bool:
@@ -83,7 +83,7 @@ class OwnVersion:
         """The lower one of two versions that were said lately, or the own one."""
         said = sorted(
             versions_ahead(version, self.number)
-            for version, heard in self._claims.values()
-            if now - heard <= _AT_ONCE
+            for version, at in self._claims.values()
+            if now - at <= _AT_ONCE
         )
         return (self.number + said[-2] - 1) % (COUNT - 1) + 1 if len(said) > 1 else self.number

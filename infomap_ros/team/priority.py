@@ -1,4 +1,4 @@
-"""What the states of voxels tell, in bits: what carries most goes first."""
+"""How informative the states of voxels are, in bits: what carries most goes first."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ _MOST_BITS = 40.0  # of one surface point
 RUN_BYTES, SURFACE_BYTES = 1.6, 18.0
 """About what a voxel takes in a message [bytes]."""
 
-_ROW_BYTES = 11.0  # of eight neighbors along x without surface, however many of them are told
+_ROW_BYTES = 11.0  # of eight neighbors along x without surface, however many of them are sent
 _LEAST_SHIFT = 0.02  # of a probability; what changed less can wait
 _LEAST_BITS = 1.0  # of a surface point, likewise: its sigmas fell by a fifth
 
 
 class ChangePriority(NamedTuple):
-    """What the changes of blocks tell, apart for those that matter and those that can wait.
+    """How informative the changes of blocks are, those that matter apart from the others.
 
     What matters: a voxel that is new or not known any more, a probability that changed by 0.02, a
     surface point that is new or of which 1 bit more is known. Voxels without a surface ride with
@@ -53,13 +53,13 @@ class ChangePriority(NamedTuple):
 
 
 class _Comparison(NamedTuple):
-    """A map and what was told of it, as the kernels take them.
+    """A map and what was sent of it, as the kernels take them.
 
     Attributes:
         blocks: of the map.
         surface: its Gaussians.
-        planes: evidence that was told.
-        codes: surface points that were told.
+        planes: evidence that was sent.
+        codes: surface points that were sent.
         size: edge of a voxel [m].
         divergences: bits by evidence now and before.
         probabilities: by evidence.
@@ -86,7 +86,7 @@ _PROBABILITIES = 1.0 / (1.0 + np.exp(-_ODDS))
 
 
 def _divergences() -> NDArray[np.float64]:
-    """Kullback-Leibler divergence [bits] of the states that are told from those before."""
+    """Kullback-Leibler divergence [bits] of the states that are sent from those before."""
     p, q = _PROBABILITIES[:, None], _PROBABILITIES[None, :]
     return np.asarray(p * np.log2(p / q) + (1.0 - p) * np.log2((1.0 - p) / (1.0 - q)))
 
@@ -95,17 +95,17 @@ _DIVERGENCES = _divergences()
 
 
 def priority_of_changes(
-    voxel_map: VoxelMap, told: Contribution, slots: NDArray[np.int64]
+    voxel_map: VoxelMap, sent: Contribution, slots: NDArray[np.int64]
 ) -> ChangePriority:
-    """What the changes of a map's blocks tell to who knows what was told before.
+    """Information of the changes of a map's blocks to who knows what was sent before.
 
-    The evidence counts by its Kullback-Leibler divergence from what was told (from p = 0.5 where
+    The evidence counts by its Kullback-Leibler divergence from what was sent (from p = 0.5 where
     nothing was, and 1 bit more), a surface point by half the change of log2 of the determinant of
     its information.
 
     Args:
         voxel_map: tracks its changes.
-        told: what was told.
+        sent: what others know.
         slots: of the map's blocks, shape (n,).
     """
     count = len(slots)
@@ -115,7 +115,7 @@ def priority_of_changes(
     storage, size = voxel_map._storage, voxel_map.config.voxel_size
     tables = _DIVERGENCES, _PROBABILITIES, code_tables()[0]
     scratch = np.empty((2, ROW_SIZE), np.float32)
-    blocks, planes, codes = told.arrays
+    blocks, planes, codes = sent.arrays
     shared = np.zeros((len(slots), 6))
     if storage.offset.any():
         corners = np.zeros((len(slots), 3), np.int32)
@@ -129,15 +129,15 @@ def priority_of_changes(
 
 
 def priority_of_states(
-    told: Contribution, slots: NDArray[np.int64]
+    sent: Contribution, slots: NDArray[np.int64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Bits and bytes as in `priority_of_changes`, of all of blocks to who knows nothing of it."""
-    _, planes, codes = told.arrays
+    _, planes, codes = sent.arrays
     count = int(codes.counts[0])
     surfaces = np.bincount(
         codes.owner[:count] // BLOCK_VOXELS,
         weights=(codes.codes[:count, 1] != 0).astype(float),
-        minlength=told.blocks,
+        minlength=sent.blocks,
     )[slots]
     odds = planes.log_odds[slots].astype(np.int64)
     known = planes.versions[slots] != 0
@@ -161,7 +161,7 @@ def _log_determinant(information: Any) -> float:
 
 
 @kernel
-def _told_log_determinant(other: Any, size: float, sigmas: Any) -> float:
+def _sent_log_determinant(other: Any, size: float, sigmas: Any) -> float:
     """As `_log_determinant`, of a code's second word; of a point anywhere in the voxel for 0."""
     if other == np.uint64(0):
         return 3.0 * math.log2(12.0 / (size * size))
@@ -184,9 +184,9 @@ def _with_shared(information: Any, shared: Any) -> Any:
 def _surface_change(
     compared: Any, information: Any, shared: Any, other: int, local: int
 ) -> tuple[float, bool]:
-    """Bits by which a surface point is other than told, and whether it is new.
+    """Bits by which a surface point is other than sent, and whether it is new.
 
-    `shared` is a row of `_Comparison.shared`, `other` the block's slot in what was told, or -1.
+    `shared` is a row of `_Comparison.shared`, `other` the block's slot in what was sent, or -1.
     """
     code, word = np.int64(-1), np.uint64(0)
     codes = compared.codes
@@ -197,7 +197,7 @@ def _surface_change(
     change = _log_determinant(information)
     if shared[0] + shared[3] + shared[5] > 0.0:
         change = -_log_determinant(_with_shared(information, shared))
-    change -= _told_log_determinant(word, compared.size, compared.sigmas)
+    change -= _sent_log_determinant(word, compared.size, compared.sigmas)
     return min(0.5 * abs(change), _MOST_BITS), word == np.uint64(0)
 
 
@@ -205,10 +205,10 @@ def _surface_change(
 def _voxel_worth(
     compared: Any, n: int, slot: int, other: int, local: int
 ) -> tuple[float, bool, bool]:
-    """Bits of a voxel, whether it is told with a surface, and whether it matters.
+    """Bits of a voxel, whether it is sent with a surface, and whether it matters.
 
     `n` is the block's place among those that are weighed, `slot` its number in the map, `other` in
-    what was told, or -1.
+    what was sent, or -1.
     """
     known, quanta = quanta_at(compared.blocks, slot, local)
     was = np.int64(NOT_OBSERVED)
@@ -244,21 +244,21 @@ def _weigh_row(
     sizes: Any,
     matters: Any,
 ) -> None:
-    """Add the changes of eight voxels along x, from `first` on, to what their block tells."""
+    """Add the changes of eight voxels along x, from `first` on, to what their block informs."""
     word, free, empty = first >> 6, 0.0, np.uint64(0)
     some_matter = False
     for local in range(first, first + 8):
         bit = np.uint64(1) << np.uint64(local & 63)
         if not compared.blocks.dirty[slot, word] & bit:
             continue
-        told, is_surface, does_matter = _voxel_worth(compared, n, slot, other, local)
+        gained, is_surface, does_matter = _voxel_worth(compared, n, slot, other, local)
         if does_matter:
             matters[word] |= bit
         if is_surface:
-            bits[0 if does_matter else 1] += told
+            bits[0 if does_matter else 1] += gained
             sizes[0 if does_matter else 1] += SURFACE_BYTES
         else:
-            free, empty, some_matter = free + told, empty | bit, some_matter or does_matter
+            free, empty, some_matter = free + gained, empty | bit, some_matter or does_matter
     if empty != np.uint64(0):
         bits[0 if some_matter else 1] += free
         sizes[0 if some_matter else 1] += _ROW_BYTES
@@ -267,12 +267,12 @@ def _weigh_row(
 
 
 @kernel
-def _weigh_changes(compared: Any, told_blocks: Any, slots: Any, priority: Any) -> None:
+def _weigh_changes(compared: Any, sent_blocks: Any, slots: Any, priority: Any) -> None:
     """Sum up over the changed voxels of blocks into a `ChangePriority`."""
     blocks = compared.blocks
     for n in range(len(slots)):
         slot = slots[n]
-        other = np.int64(find_block(told_blocks, blocks.keys[slot]))
+        other = np.int64(find_block(sent_blocks, blocks.keys[slot]))
         bits, sizes, matters = priority.bits[n], priority.sizes[n], priority.matters[n]
         for first in range(0, BLOCK_VOXELS, 8):
             marked = blocks.dirty[slot, first >> 6] >> np.uint64(first & 63)

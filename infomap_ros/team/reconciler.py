@@ -1,8 +1,8 @@
 """Finds what was missed: compares digests and asks for what differs.
 
-Robots tell from time to time what they hold, as hashes. Who holds something else asks for finer
+Robots send from time to time what they hold, as hashes. Who holds something else asks for finer
 hashes of what differs, and at last for the states themselves. The owner of a contribution is
-asked; when it has not been heard for some time, whoever holds something else. All answers go to
+asked; when it has been silent for some time, whoever holds something else. All answers go to
 all, so that one answer serves everybody who has missed the same.
 
 Digests and requests take a part of the bandwidth (`limits.TALK_SHARE`), each robot's questions an
@@ -19,7 +19,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from infomap_ros.errors import UpdateRefusedError
-from infomap_ros.team.config import MOST_ROBOTS, MOST_WANTED, TALK_SHARE, Budget, TeamConfig
+from infomap_ros.team.config import (
+    MOST_ROBOTS,
+    MOST_WANTED,
+    REQUEST_TIMEOUT,
+    TALK_SHARE,
+    Budget,
+    TeamConfig,
+)
 from infomap_ros.team.contribution import Cells, Contribution, Corners
 from infomap_ros.team.digest import (
     CELL_ROW,
@@ -58,7 +65,7 @@ class Losses:
         self._newest: dict[int, int] = {}
         self._lost: dict[int, dict[int, _Loss]] = {}
 
-    def hear(self, robot: int, serial: int, now: float) -> None:
+    def receive(self, robot: int, serial: int, now: float) -> None:
         """A message with this number has come."""
         self.expect(robot, serial, now)
         self._lost.get(robot, {}).pop(serial, None)
@@ -109,7 +116,8 @@ _LATE, _GIVEN_UP = (
     6.0,
     8.0,
 )  # timeouts after which blocks are asked for, messages not
-_REPEATS = 3  # digests that tell of a block that was told
+_SUMMARY_PERIOD = 1.0  # between two summaries of all that this robot holds [s]
+_REPEATS = 3  # digests with a block that was sent
 _MOST_HELD = 1 << 16  # blocks held otherwise that are kept, as in a message of 1 MB; the oldest go
 _ANSWERS = 16  # to questions in one round; each may take 10 ms for a map of 10^5 blocks
 _MOST_ASKED = 100_000  # cells of which it is known when they were asked for
@@ -122,11 +130,11 @@ class Reconciler:
     """Makes digests and requests, and answers them.
 
     Args:
-        replica: what was told and heard.
+        replica: what was sent and received.
         outbox: sends the answers, and knows this robot.
         config: of the team.
         holds_own: whether this is where the robot's own contribution is made; a replica that
-            only listens tells no digests.
+            only listens sends no digests.
         may_be_kept: says of a robot's id whether anything may be kept of it.
     """
 
@@ -142,14 +150,14 @@ class Reconciler:
         self._own, self._holds_own = outbox.robot, holds_own
         self._may_be_kept = may_be_kept
         self.recovering_until = np.inf
-        self._heard: dict[int, float] = {}
+        self._received: dict[int, float] = {}
         self._sessions: dict[int, int] = {}
         self._behind: dict[tuple[int, int], float] = {}
         self._held: dict[tuple[int, ...], int] = {}
         self._compared: dict[tuple[int, int], float] = {}
         self._asked: dict[tuple[int, tuple[int, ...]], float] = {}
-        self._missed = Missed(_LATE * config.request_timeout, config.request_timeout)
-        self.losses = Losses(config.request_timeout, _GIVEN_UP * config.request_timeout)
+        self._missed = Missed(_LATE * REQUEST_TIMEOUT, REQUEST_TIMEOUT)
+        self.losses = Losses(REQUEST_TIMEOUT, _GIVEN_UP * REQUEST_TIMEOUT)
         self._requests: list[Request] = []
         self._wanted: dict[int, dict[tuple[object, ...], Request]] = {}
         self._answered: dict[tuple[int, int], float] = {}
@@ -161,18 +169,18 @@ class Reconciler:
         self._for_digests, self._for_answers, self._for_requests = (Budget(rate) for _ in range(3))
 
     def meet(self, robot: int, session: int, *, is_sure: bool = True) -> None:
-        """A robot is heard in a session; if that is not sure, it counts where none is known."""
+        """A robot sends in a session; if that is not sure, it counts where none is known."""
         if is_sure:
             self._sessions[robot] = session
         else:
             self._sessions.setdefault(robot, session)
 
     def digests(self, now: float) -> list[Rows]:
-        """Messages that tell what this robot holds: what was touched, asked for, and a summary."""
+        """Messages with what this robot holds: what was touched, asked for, and a summary."""
         if not self._holds_own:
             return []
         messages: list[Rows] = []
-        if now - self._summarized >= self._config.summary_period:
+        if now - self._summarized >= _SUMMARY_PERIOD:
             self._summarized = now
             messages.append(self._summary().encode(self._number))
         room = max(0.0, self._for_digests.available(now))
@@ -189,7 +197,7 @@ class Reconciler:
         return messages
 
     def _touched(self, most: int) -> Corners:
-        """Blocks that were told lately, those first for which there was no room before."""
+        """Blocks that were sent lately, those first for which there was no room before."""
         self._recent = [*self._recent[1 - _REPEATS :], self._outbox.take_touched()]
         recent = np.unique(np.concatenate(self._recent), axis=0).tolist()
         corners = list(dict.fromkeys(map(tuple, chain(self._untold, recent))))
@@ -217,15 +225,15 @@ class Reconciler:
         messages: list[Rows] = []
         for part in chain.from_iterable(zip_longest(*asked.values())):  # each robot in turn
             if part is not None and self._for_requests.available(now) > 0.0:
-                told = part.encode(size, self._number)
-                self._count(told, self._for_requests)
-                messages += told
+                encoded = part.encode(size, self._number)
+                self._count(encoded, self._for_requests)
+                messages += encoded
         return messages
 
-    def hear_summary(self, summary: Summary, now: float) -> None:
+    def receive_summary(self, summary: Summary, now: float) -> None:
         """Compare what another robot holds with what is held here."""
         sender, strangers = summary.sender, 0
-        self._heard[sender] = now
+        self._received[sender] = now
         for row, value in zip(summary.rows, summary.hashes(), strict=True):
             robot, newest = int(row["robot"]), int(row["newest"])
             part = self._replica.contribution(robot)
@@ -239,7 +247,7 @@ class Reconciler:
             if part is None or not part.is_cut:
                 self._compare_whole(sender, robot, value, now)
 
-    def hear_cells(self, digest: CellDigest, now: float) -> None:
+    def receive_cells(self, digest: CellDigest, now: float) -> None:
         """Ask for what differs in some parts of a contribution."""
         if digest.sender != self._own or not self._holds_own:
             self.losses.expect(digest.sender, digest.serial, now)
@@ -249,7 +257,7 @@ class Reconciler:
         if digest.sender != digest.robot and self._is_present(digest.robot, now):
             return  # it says itself what it holds
         if digest.level == 0 and not self._is_own(digest.robot):
-            self._missed.hear(digest, now)
+            self._missed.receive(digest, now)
             return
         cells = Cells(digest.level, digest.corners, digest.hashes)
         other = cells.hashes != 0 if part is None else part.compare(cells)
@@ -284,12 +292,12 @@ class Reconciler:
     def _is_new_here(
         self, part: Contribution | None, digest: CellDigest, now: float
     ) -> NDArray[np.bool_]:
-        """Which blocks this robot has told nothing of since it started, while it recovers."""
+        """Which blocks this robot has sent nothing of since it started, while it recovers."""
         if part is None:
             return np.full(len(digest.corners), now < self.recovering_until)
         return (part.blocks_at(digest.corners)[0] == 0) & (now < self.recovering_until)
 
-    def hear_request(self, request: Request, now: float) -> None:
+    def receive_request(self, request: Request, now: float) -> None:
         """Answer what this robot is asked; what others ask for need not be asked for again."""
         if request.to != self._own or not self._holds_own:
             if request.wants == "messages":
@@ -319,7 +327,7 @@ class Reconciler:
         return request
 
     def _answer(self, request: Request, now: float) -> list[Rows]:
-        """The messages that answer a question; states are told as map updates, by and by."""
+        """The messages that answer a question; states are sent as map updates, by and by."""
         robot, within = request.robot, request.within
         part = self._replica.contribution(robot)
         if part is None:
@@ -343,7 +351,7 @@ class Reconciler:
         return robot == self._own and self._holds_own
 
     def _is_present(self, robot: int, now: float) -> bool:
-        return now - self._heard.get(robot, -np.inf) < self._config.silence
+        return now - self._received.get(robot, -np.inf) < self._config.silence
 
     def _compare_whole(self, sender: int, robot: int, value: int, now: float) -> None:
         part = self._replica.contribution(robot)
@@ -355,7 +363,7 @@ class Reconciler:
                 del known[old]
         first = self._behind.setdefault((sender, robot), now)
         last = self._compared.get((sender, robot), -np.inf)
-        period, wait = _DEEP_PERIOD, 3.0 * self._config.request_timeout
+        period, wait = _DEEP_PERIOD, 3.0 * REQUEST_TIMEOUT
         if self._is_own(robot):
             recovers = now < self.recovering_until
             period, wait = (_DEEP_PERIOD, 0.0) if recovers else (_OWN_PERIOD, wait)
@@ -377,10 +385,10 @@ class Reconciler:
 
     def _not_yet_asked(self, robot: int, corners: Corners, level: int, now: float) -> Corners:
         """Those cells for which nobody has asked lately; they count as asked for now."""
-        request_timeout, fresh = self._config.request_timeout, []
+        fresh = []
         for row, corner in enumerate(corners.tolist()):
             key = robot, (level, *corner)
-            if now - self._asked.get(key, -np.inf) >= request_timeout:
+            if now - self._asked.get(key, -np.inf) >= REQUEST_TIMEOUT:
                 self._asked[key] = now
                 fresh.append(row)
         self._forget_asked(now)
@@ -394,8 +402,7 @@ class Reconciler:
 
     def _forget_asked(self, now: float) -> None:
         if len(self._asked) > _MOST_ASKED:
-            request_timeout = self._config.request_timeout
-            self._asked = {k: t for k, t in self._asked.items() if now - t < request_timeout}
+            self._asked = {k: t for k, t in self._asked.items() if now - t < REQUEST_TIMEOUT}
             if len(self._asked) > _MOST_ASKED // 2:
                 self._asked.clear()
 
@@ -403,7 +410,7 @@ class Reconciler:
         return digest.encode(self._config.message_size, self._number + before)
 
     def _count(self, messages: list[Rows], budget: Budget) -> None:
-        """Count messages as told."""
+        """Count messages as sent."""
         self._number += len(messages)
         budget.spend(sum(map(message_bytes, messages)))
 

@@ -8,7 +8,7 @@ in the second of two equal rooms, explains nearly as much.
 
 Its covariance counts what one scan sees as one error: that of point-to-plane distances by clusters
 (Liang and Zeger 1986, doi:10.1093/biomet/73.1.13), and the sigma of the maps themselves, by which
-whole clusters are displaced, which no distance between surfaces tells.
+whole clusters are displaced, which no distance between surfaces shows.
 """
 
 from __future__ import annotations
@@ -99,7 +99,7 @@ def register_maps(first: VoxelMap, second: VoxelMap) -> Registration:
 class _Surface:
     """Surface voxels of a map with normals to the side that is free.
 
-    By their side the front of a wall is told from its back, onto which it could be drawn.
+    By their side the front of a wall is distinguished from its back, onto which it could be drawn.
     """
 
     def __init__(self, voxel_map: VoxelMap) -> None:
@@ -122,7 +122,7 @@ class _Surface:
 
     def _to_free_space(self, normals: FloatArray) -> FloatArray:
         step = 2.0 * self.size * normals
-        ahead, behind = (self.map.log_odds(self.points + way) for way in (step, -step))
+        ahead, behind = (self.map.log_odds(self.points + offset) for offset in (step, -step))
         return np.where((ahead > behind)[:, None], -normals, normals)
 
     def oriented(self, points: FloatArray, normals: FloatArray) -> FloatArray:

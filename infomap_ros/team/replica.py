@@ -1,12 +1,16 @@
 """A replica of the map that a team shares.
 
-Each robot owns its contribution and tells the absolute states of its voxels. A replica keeps, per
-robot and voxel, the newest state that it heard, and the sum over the robots stands in a map. So
+Each robot owns its contribution and sends the absolute states of its voxels. A replica keeps, per
+robot and voxel, the newest state that it received, and the sum over the robots stands in a map. So
 updates may be lost, repeated or come in any order: nothing is counted twice, and replicas that
-have heard the same hold the same voxels with the same bits. Sums run over the robots in the order
-of their ids, because sums of floating-point numbers depend on their order.
+have received the same hold the same voxels with the same bits. Sums run in the order of the
+robots' ids, because sums of floating-point numbers depend on their order.
 
-Memory is shared out: what this robot tells always comes first, every other may use an equal share,
+A contribution is in one frame, which its origin names. Newer states in another frame take the place
+of all that the robot sent before, older ones are void. Only what is in the frame of this robot's
+own contribution is added: the others are kept aside until somebody's map is moved.
+
+Memory is shared out: what this robot sends always comes first, every other may use an equal share,
 and more while nobody else needs it. Where there is no more room, the largest contributions lose
 what informs least, until all fit (`team.limits`).
 
@@ -39,7 +43,7 @@ from infomap_ros.team.config import BORROWED_MOST, GUESTS_MOST, ROOM_AFTER
 from infomap_ros.team.contribution import Contribution
 from infomap_ros.team.contribution_kernels import mixed
 from infomap_ros.team.priority import priority_of_states
-from infomap_ros.team.update import MapUpdate
+from infomap_ros.team.update import MapUpdate, are_one_frame, is_newer
 
 _ADDED_AT_ONCE = 4096  # blocks of which the sum is made in one go
 
@@ -70,15 +74,15 @@ class MapReplica:
 
     @property
     def robots(self) -> tuple[int, ...]:
-        """Ids of the robots that were heard, ascending."""
+        """Ids of the robots that have sent, ascending."""
         return tuple(sorted(self._contributions))
 
     def contribution(self, robot: int) -> Contribution | None:
-        """What a robot told, None where nothing was heard. It is the replica's own."""
+        """What a robot sent, None where it sent nothing. It is the replica's own."""
         return self._contributions.get(robot)
 
     def hash(self) -> int:
-        """Hash of all contributions, 64 bits: replicas that have heard the same have the same."""
+        """Hash of all contributions, 64 bits: replicas that received the same have the same."""
         parts = [mixed(mixed(robot) ^ np.uint64(part.hash())) for robot, part in self._parts()]
         return int(np.add.reduce(np.array(parts, np.uint64), dtype=np.uint64))
 
@@ -96,7 +100,7 @@ class MapReplica:
         return int(np.count_nonzero(self.accept(update.in_order_of_blocks())))
 
     def accept(self, update: MapUpdate) -> NDArray[np.bool_]:
-        """Learn what a robot tells.
+        """Learn what a robot sends.
 
         Args:
             update: states of voxels, each voxel once, in voxels of the map's size.
@@ -115,18 +119,56 @@ class MapReplica:
             )
         update.check_states()
         self._check_capacity(update)
-        contribution = self._contributions.get(update.robot, Contribution(size))
+        contribution = self._contributions.get(update.robot)
+        if contribution is not None and contribution.origin != update.origin:
+            if not is_newer(update.newest, np.uint32(contribution.newest)):
+                return np.zeros(len(update.versions), np.bool_)
+            contribution = None
+        if contribution is None:
+            self._replace(update.robot, Contribution(size, update.origin))
+            contribution = self._contributions[update.robot]
         changed = contribution.accept(update)
-        self._contributions[update.robot] = contribution
-        if update.robot not in self._aside:
+        if self._is_added(update.robot):
             self._add_up(update.indices[changed])
         return changed
 
+    def begin_frame(self, robot: int, origin: int) -> bool:
+        """Drop what a robot sent in another frame than this one; whether there was any."""
+        part = self._contributions.get(robot)
+        if part is None or part.origin == origin:
+            return False
+        self._replace(robot, Contribution(self._map.config.voxel_size, origin))
+        self._contributions[robot].newest = part.newest
+        return True
+
+    def is_in_frame(self, robot: int) -> bool:
+        """Whether a robot's contribution is in the frame of the map, as far as it is known."""
+        return are_one_frame(self._contributions[robot].origin, self.origin)
+
+    @property
+    def origin(self) -> int:
+        """Names the frame of the map: that of the own contribution, else of the smallest id's."""
+        first = min(self._contributions, default=None)
+        part = self._contributions.get(self._own if self._own is not None else -1)
+        if part is None and first is not None:
+            part = self._contributions[first]
+        return 0 if part is None else part.origin
+
+    def _is_added(self, robot: int) -> bool:
+        return robot not in self._aside and self.is_in_frame(robot)
+
+    def _replace(self, robot: int, part: Contribution) -> None:
+        """Put a contribution that is empty in the place of one, if there is any."""
+        is_known, origin = robot in self._contributions, self.origin
+        self._contributions[robot] = part
+        if is_known or self.origin != origin:
+            self._sum_again()
+
     def forget(self, robot: int) -> None:
         """Drop a robot's contribution."""
-        self.set_aside(robot, True)
-        self._contributions.pop(robot, None)
         self._aside.discard(robot)
+        if self._contributions.pop(robot, None) is not None:
+            self._sum_again()
 
     def make_room(self) -> None:
         """Drop what informs least of the others' largest contributions, until there is room.
@@ -145,7 +187,7 @@ class MapReplica:
         for robot in cut:
             part = self._contributions[robot]
             worth, _ = priority_of_states(part, np.arange(part.blocks))
-            self._contributions[robot] = part.most_telling(share / sizes[robot], worth)
+            self._contributions[robot] = part.most_informative(share / sizes[robot], worth)
         if cut:
             self._sum_again()
 
@@ -166,7 +208,7 @@ class MapReplica:
     @property
     def aside(self) -> tuple[int, ...]:
         """Ids of the robots whose contributions are left out of the map."""
-        return tuple(sorted(self._aside))
+        return tuple(robot for robot in self.robots if not self._is_added(robot))
 
     def _parts(self) -> list[tuple[int, Contribution]]:
         return [(robot, self._contributions[robot]) for robot in self.robots]
@@ -177,7 +219,7 @@ class MapReplica:
         known, quanta = np.zeros(count, np.bool_), np.zeros(count, np.int32)
         information = np.zeros((count, 9))
         for robot, part in self._parts():
-            if robot not in self._aside:
+            if self._is_added(robot):
                 part.add_to(indices, known, quanta, information)
         states = VoxelStates(indices, known, quanta, information.astype(np.float32))
         put_states(self._map._storage, states)
@@ -186,7 +228,7 @@ class MapReplica:
         """Make the map again from the contributions, so that it has no more room than it needs."""
         self._map._storage = MapStorage()
         for robot, part in self._parts():
-            for start in range(0, part.blocks if robot not in self._aside else 0, _ADDED_AT_ONCE):
+            for start in range(0, part.blocks if self._is_added(robot) else 0, _ADDED_AT_ONCE):
                 slots = np.arange(start, min(start + _ADDED_AT_ONCE, part.blocks))
                 self._add_up(part.states(robot, slots).indices)
 
@@ -206,7 +248,7 @@ class MapReplica:
             )
 
     def _room_for(self, robot: int) -> float:
-        """How large all may become by what this robot tells [bytes]."""
+        """How large all may become by what this robot sends [bytes]."""
         if robot == self._own or (self._own is None and len(self._contributions) < 2):
             return self._limit
         part = self._contributions.get(robot)
@@ -267,12 +309,12 @@ def moved_map(voxel_map: VoxelMap, T_new_old: ArrayLike) -> VoxelMap:
     present = np.ones(len(indices), np.bool_)
     put_states(moved._storage, VoxelStates(indices, present, quanta.astype(np.int32), nothing))
     put_states(moved._storage, _moved_surfaces(voxel_map, transform))
-    put_offset(moved._storage, _moved_offset(voxel_map.offset, transform))
+    put_offset(moved._storage, moved_offset(voxel_map.offset, transform))
     return moved
 
 
-def _moved_offset(offset: FloatArray, T_new_old: FloatArray) -> FloatArray:
-    """The covariance of a map's offset at its origin, (6, 6), told at another one.
+def moved_offset(offset: FloatArray, T_new_old: FloatArray) -> FloatArray:
+    """The covariance of a map's offset at its origin, (6, 6), carried to another one.
 
     An error (dt, dr) takes a point p by dt + dr x p, and so the moved one, R p + t, by
     R dt - (R dr) x t + (R dr) x (R p + t).

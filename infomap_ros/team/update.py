@@ -1,12 +1,12 @@
-"""What a robot tells of its contribution: states of voxels, already in the codes of the wire.
+"""What a robot sends of its contribution: states of voxels, already in the codes of the wire.
 
-The messages that a robot told lately, so that those which got lost can be told again.
+The messages that a robot sent lately, so that those which got lost can be sent again.
 
 Versions of what a robot publishes: numbers of 32 bits that begin again at 1 after the last.
 
 Of two versions the newer one is that which follows the other by less than half the numbers there
 are, as for serial numbers in RFC 1982 (https://doi.org/10.17487/RFC1982). 0 is no version: it
-stands for "nothing heard yet". A robot takes its first version from the clock, so that what it
+stands for "nothing received yet". A robot takes its first version from the clock, so that what it
 says after a restart is newer than what it said before.
 """
 
@@ -30,6 +30,7 @@ from infomap_ros.team.message_header import with_header_values
 
 MAX_ROBOT, MAX_VERSION, MAX_SESSION = 2**16 - 1, 2**32 - 1, 2**32 - 1
 MAX_SERIAL = 2**31 - 1
+MAX_ORIGIN = 2**32 - 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,8 +47,9 @@ class MapUpdate:
             `mapping.SHARED_LOG_ODDS_LIMIT`, or `NOT_OBSERVED`.
         codes: of the surface points, shape (K, 2), uint64, see `team.gaussian_code`; 0 for none.
         session: number that the robot draws when it starts.
-        sender: id of the robot that tells it, where that is another one.
-        serial: number of the message among those of the robot that tells it, None without one.
+        sender: id of the robot that sends it, where that is another one.
+        serial: number of the message among those of the robot that sends it, None without one.
+        origin: names the frame in which the states are, as in `PoseUncertainty`; 0 where unknown.
     """
 
     voxel_size: float
@@ -59,6 +61,7 @@ class MapUpdate:
     session: int = 0
     sender: int | None = None
     serial: int | None = None
+    origin: int = 0
 
     def __post_init__(self) -> None:
         """Check everything but the voxels' states, which `check_states` does.
@@ -73,9 +76,15 @@ class MapUpdate:
 
     @classmethod
     def of_changes(
-        cls, changes: VoxelChanges, voxel_size: float, robot: int, version: int, session: int = 0
+        cls,
+        changes: VoxelChanges,
+        voxel_size: float,
+        robot: int,
+        version: int,
+        session: int = 0,
+        origin: int = 0,
     ) -> MapUpdate:
-        """The update that tells the changes of a robot's map.
+        """The update with the changes of a robot's map.
 
         Raises:
             InvalidInputError: a Gaussian is not finite, not positive definite or a voxel away
@@ -88,7 +97,8 @@ class MapUpdate:
         offsets = changes.means[surface] / voxel_size - (indices[surface] + 0.5)
         codes[surface] = encode_gaussians(offsets, changes.covariances[surface] / voxel_size**2)
         versions = np.full(len(indices), version, np.uint32)
-        update = cls(voxel_size, robot, versions, indices, changes.log_odds, codes, session)
+        states = versions, indices, changes.log_odds, codes
+        update = cls(voxel_size, robot, *states, session, origin=origin)
         update.check_states()
         return update
 
@@ -96,6 +106,14 @@ class MapUpdate:
     def version(self) -> int:
         """Version of the first state; all have the same unless the update is passed on."""
         return int(self.versions[0]) if len(self.versions) else 0
+
+    @property
+    def newest(self) -> np.uint32:
+        """The newest of the versions; 0 without states."""
+        newest = np.uint32(0)
+        for version in np.unique(self.versions):
+            newest = version if is_newer(version, newest) else newest
+        return newest
 
     @property
     def has_gaussian(self) -> NDArray[np.bool_]:
@@ -127,6 +145,7 @@ class MapUpdate:
             self.codes[chosen],
             self.session,
             self.sender,
+            origin=self.origin,
         )
 
     def in_order_of_blocks(self) -> MapUpdate:
@@ -136,11 +155,11 @@ class MapUpdate:
             return self
         return self.rows(np.argsort(keys, kind="stable"))
 
-    def as_told_by(self, session: int, sender: int | None, version: int | None) -> MapUpdate:
+    def as_sent_by(self, session: int, sender: int | None, version: int | None) -> MapUpdate:
         """The same states in another session, from another sender, at a version if one is given."""
         versions = self.versions if version is None else np.full_like(self.versions, version)
         states = versions, self.indices, self.log_odds, self.codes
-        return MapUpdate(self.voxel_size, self.robot, *states, session, sender)
+        return MapUpdate(self.voxel_size, self.robot, *states, session, sender, origin=self.origin)
 
     def check_states(self) -> None:
         """Refuse what no robot can mean.
@@ -162,19 +181,24 @@ class MapUpdate:
             raise InvalidInputError("map update", "a voxel that is not observed has a surface")
 
 
+def are_one_frame(origin: int, other: int) -> bool:
+    """Whether two origins name one frame; who names none is taken to be in it."""
+    return origin == other or not (origin and other)
+
+
 class SentMessages:
     """Numbers messages and keeps the last ones.
 
     Args:
         serial: number of the message before the first.
         room: for the messages that are kept [bytes].
-        request_timeout: for so long after a message was told again, it is on its way [s].
+        request_timeout: for so long after a message was sent again, it is on its way [s].
     """
 
     def __init__(self, serial: int, room: float, request_timeout: float) -> None:
         self.serial = serial
         self._room, self._held, self._request_timeout = room, 0, request_timeout
-        self._told_again: dict[int, float] = {}
+        self._resent: dict[int, float] = {}
         self._messages: dict[int, NDArray[np.void]] = {}
         self._asked: set[int] = set()
 
@@ -187,29 +211,29 @@ class SentMessages:
         while self._held > self._room and len(self._messages) > 1:
             oldest = next(iter(self._messages))
             self._held -= self._messages.pop(oldest).nbytes
-            self._told_again.pop(oldest, None)
+            self._resent.pop(oldest, None)
         return rows
 
     def ask(self, serials: Iterable[int], now: float) -> None:
-        """Have messages told again, as far as they are kept and not on their way."""
+        """Have messages sent again, as far as they are kept and not on their way."""
         for serial in serials:
-            since = now - self._told_again.get(serial, -np.inf)
+            since = now - self._resent.get(serial, -np.inf)
             if serial in self._messages and since >= self._request_timeout:
                 self._asked.add(serial)
 
     def resend(self, room: float, now: float) -> list[NDArray[np.void]]:
-        """Messages to be told again, oldest first, as many as fit [bytes].
+        """Messages to be sent again, oldest first, as many as fit [bytes].
 
-        What was told again before and is still missed is told twice.
+        What was sent again before and is still missed is sent twice.
         """
         chosen: list[NDArray[np.void]] = []
         for serial in [number for number in self._messages if number in self._asked]:
-            copies = [self._messages[serial]] * (2 if serial in self._told_again else 1)
+            copies = [self._messages[serial]] * (2 if serial in self._resent else 1)
             room -= sum(map(message_bytes, copies))
             if room < 0.0 and chosen:
                 return chosen
             self._asked.remove(serial)
-            self._told_again[serial] = now
+            self._resent[serial] = now
             chosen += copies
         self._asked.clear()
         return chosen

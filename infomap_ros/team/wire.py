@@ -5,8 +5,8 @@ version at which they were taken (`infomap_ros.team.update`). So a message may b
 or come late: whoever keeps the newest version per robot and voxel is right. A robot takes a voxel
 back by the log-odds `NOT_OBSERVED`.
 
-Two layouts, told apart by their fields: `OCCUPANCY_ROW` holds eight neighbors along x, of which
-those with the log-odds `NOT_TOLD` are left out, and `SURFACE_ROW` one voxel and the code of its
+Two layouts, distinguished by their fields: `OCCUPANCY_ROW` holds eight neighbors along x, of which
+those with the log-odds `NOT_SENT` are left out, and `SURFACE_ROW` one voxel and the code of its
 Gaussian (`infomap_ros.team.gaussian_code`). A message spans at most 256 voxels along each axis, so
 that an index fits a byte; where it begins, whose it is, its version and the voxel size stand in
 the name of one more field (`infomap_ros.team.message_header`). States of several versions, as a
@@ -35,6 +35,7 @@ from infomap_ros.team.message_header import (
     without_header,
 )
 from infomap_ros.team.update import (
+    MAX_ORIGIN,
     MAX_ROBOT,
     MAX_SERIAL,
     MAX_SESSION,
@@ -49,7 +50,7 @@ TILE_SHIFT, RUN_SHIFT = 8, 3
 ORDER_SHIFT = 3 * TILE_SHIFT
 """Numbers of `order_of_blocks` shifted by this are those of the parts that fit a message."""
 
-NOT_TOLD = -127
+NOT_SENT = -127
 """Log-odds of a voxel of which a row says nothing."""
 
 _TILES = 13  # [bits] of the number of tiles along an axis
@@ -98,7 +99,7 @@ def fill_runs(
         rows: of these, shape (n,), so ordered that the voxels of a run follow each other.
         origin: of the message, a multiple of a run's length, shape (3,).
         filled: receive, with room for n runs, the index of the first voxel, uint8, shape (n, 3);
-            the log-odds, int8, shape (n, 8); and the row of the first voxel that is told, int64.
+            the log-odds, int8, shape (n, 8); and the row of the first voxel that is sent, int64.
 
     Returns:
         Number of runs.
@@ -113,7 +114,7 @@ def fill_runs(
         if start != last or versions[row] != versions[first[used - 1]]:
             index[used, 0], index[used, 1], index[used, 2] = x & ~np.int64(7), y, z
             for i in range(8):
-                odds[used, i] = NOT_TOLD
+                odds[used, i] = NOT_SENT
             first[used] = row
             used, last = used + 1, start
         odds[used - 1, x & 7] = log_odds[row]
@@ -142,7 +143,7 @@ def encode_update(update: MapUpdate, max_bytes: int = MAX_MESSAGE_BYTES) -> list
         Row arrays, one a message, whose dtype is `OCCUPANCY_ROW` or `SURFACE_ROW` with the header.
 
     Raises:
-        InvalidInputError: the states cannot be told.
+        InvalidInputError: the states cannot be encoded.
     """
     update.check_states()
     messages = []
@@ -184,6 +185,8 @@ def _facts(update: MapUpdate, version: int, origin: NDArray[np.int64]) -> dict[s
         header[f"origin_{axis}"] = value
     if update.sender is not None:
         header["sender"] = update.sender
+    if update.origin:
+        header["origin"] = update.origin
     return header
 
 
@@ -261,6 +264,7 @@ def decode_update(rows: NDArray[np.void]) -> MapUpdate:
         whole_number(header, "session", 0, MAX_SESSION, _WHAT),
         sender,
         whole_number(header, "serial", 0, MAX_SERIAL, _WHAT) if "serial" in header else None,
+        whole_number(header, "origin", 0, MAX_ORIGIN, _WHAT) if "origin" in header else 0,
     )
     update.check_states()
     return update
@@ -276,7 +280,7 @@ def _voxels_of(
     corners = table["index"].astype(np.int32) + np.array(origin, np.int32)
     if is_surface:
         return corners, table["log_odds"].copy(), np.arange(len(table))
-    row, place = np.nonzero(table["log_odds"] != NOT_TOLD)
+    row, place = np.nonzero(table["log_odds"] != NOT_SENT)
     indices = corners[row]
     indices[:, 0] += place.astype(np.int32)
     return indices, table["log_odds"][row, place], row

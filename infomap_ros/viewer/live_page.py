@@ -35,12 +35,12 @@ from infomap_ros.motion.robot.robot_model import RobotModel
 from infomap_ros.team.agents import Agent
 from infomap_ros.viewer.run_panel import InterestBox, InterestControls, RunPanel
 from infomap_ros.viewer.shapes import (
-    CAMERA_WAY,
+    CAMERA_PATH,
     ROBOT,
     TEAM,
     colored,
+    draw_path,
     draw_solid,
-    draw_way,
     frustum,
     gradient,
     place,
@@ -67,7 +67,7 @@ class MapLayer:
         self._middle, self._has_been_shown = np.zeros(3), False
         gui = viser.gui
         self._color = gui.add_dropdown(
-            "Color", ("height", "sigma", "probability"), hint="what the colors of the map tell"
+            "Color", ("height", "sigma", "probability"), hint="what the colors of the map show"
         )
         self._legend = gui.add_html("")
         self._cut = gui.add_slider(
@@ -179,7 +179,7 @@ class PageConfig:
         "that reach it. In any case a browser needs the whole address, with its token.",
     )
     port: int = parameter(
-        0, "Port of the page; 0: any that is free, which the log tells.", low=0, high=65535
+        0, "Port of the page; 0: any that is free, named in the log.", low=0, high=65535
     )
 
     read_only: bool = parameter(
@@ -288,16 +288,16 @@ class TeamLayer:
         )  # fmt: skip
         above = place + np.array([0.0, 0.0, mate.top + _ABOVE])
         scene.add_label(f"{name}/state", f"{mate.robot}: {mate.state}", position=tuple(above))
-        ground = np.column_stack([mate.way[:, :2], np.full(len(mate.way), place[2])])
-        draw_way(scene, f"{name}/way", ground, color)
+        ground = np.column_stack([mate.path[:, :2], np.full(len(mate.path), place[2])])
+        draw_path(scene, f"{name}/path", ground, color)
 
 
-_LEAST_STEP = 0.02  # of the camera's way: points closer than this are left out [m]
-_LONGEST_WAY = 4000  # points of the camera's way that are kept
+_LEAST_STEP = 0.02  # of the camera's path: points closer than this are left out [m]
+_LONGEST_PATH = 4000  # points of the camera's path that are kept
 
 
 class RobotLayer:
-    """Draws the robot, its camera, and the way that this has come.
+    """Draws the robot, its camera, and the path that this has come.
 
     Args:
         viser: the server.
@@ -308,7 +308,7 @@ class RobotLayer:
         self._robot: RobotModel | None = None
         self._parts: list[Any] = []
         self._camera: Any = None
-        self._way: list[FloatArray] = []
+        self._path: list[FloatArray] = []
 
     def show(self, robot: RobotModel, T_map_base: FloatArray, joints: Mapping[str, float]) -> None:
         """Place the robot.
@@ -328,22 +328,22 @@ class RobotLayer:
             place(part, T_map_base @ solid.transform)
 
     def show_camera(self, T_map_camera: FloatArray, camera: PinholeCamera | None) -> None:
-        """Place the camera: a pyramid along its optical axis, and the way that it has come.
+        """Place the camera: a pyramid along its optical axis, and the path that it has come.
 
         Args:
             T_map_camera: of its optical frame, shape (4, 4).
             camera: tells how far the pyramid opens; None where that is not known.
         """
         if self._camera is None:
-            self._camera = frustum(self._scene, "/camera", camera, CAMERA_WAY)
+            self._camera = frustum(self._scene, "/camera", camera, CAMERA_PATH)
         place(self._camera, T_map_camera)
         here = T_map_camera[:3, 3].copy()
-        if self._way and np.linalg.norm(here - self._way[-1]) < _LEAST_STEP:
+        if self._path and np.linalg.norm(here - self._path[-1]) < _LEAST_STEP:
             return
-        self._way.append(here)
-        if len(self._way) > _LONGEST_WAY:
-            self._way = [*self._way[: _LONGEST_WAY // 2 : 2], *self._way[_LONGEST_WAY // 2 :]]
-        draw_way(self._scene, "/camera_way", self._way, CAMERA_WAY)
+        self._path.append(here)
+        if len(self._path) > _LONGEST_PATH:
+            self._path = [*self._path[: _LONGEST_PATH // 2 : 2], *self._path[_LONGEST_PATH // 2 :]]
+        draw_path(self._scene, "/camera_path", self._path, CAMERA_PATH)
 
     def _make(self, robot: RobotModel) -> None:
         """Make the parts of the robot, all at the origin."""
@@ -411,6 +411,10 @@ class WebServer:
         is_own = origin is None or urlsplit(origin).netloc == headers.get("Host")
         if not (is_own and hmac.compare_digest(shown.encode(), self._token.encode())):
             await connection.close(_NOT_ALLOWED, "open the whole address, with its token")
+            # What came before the connection was closed would still be handled, buttons too.
+            with contextlib.suppress(importlib.import_module("websockets").ConnectionClosed):
+                while True:
+                    await connection.recv()
 
 
 def _viser() -> Any:

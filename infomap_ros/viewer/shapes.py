@@ -31,7 +31,7 @@ def frustum(scene: Any, name: str, camera: PinholeCamera | None, color: Color) -
     return scene.add_camera_frustum(name, opening, width / height, scale=_OPENING, color=color)
 
 
-def draw_way(
+def draw_path(
     scene: Any,
     name: str,
     points: Sequence[FloatArray] | FloatArray,
@@ -73,7 +73,7 @@ def _facet_normals(vertices: FloatArray, faces: FloatArray) -> FloatArray:
     return np.asarray(np.cross(b - a, c - a))
 
 
-ROBOT, BASE_WAY, CAMERA_WAY = (96, 108, 120), (213, 94, 0), (0, 114, 178)
+ROBOT, BASE_PATH, CAMERA_PATH = (96, 108, 120), (213, 94, 0), (0, 114, 178)
 CHOSEN, REJECTED, PLACE = (220, 50, 32), (150, 156, 163), (204, 121, 167)
 TEAM = ((31, 119, 180), (255, 127, 14), (44, 160, 44), (148, 103, 189))
 """Of robots by their ids, one after the other."""

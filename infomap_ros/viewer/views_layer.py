@@ -1,4 +1,4 @@
-"""The views on the page: which were considered, which one was chosen, and the way there."""
+"""The views on the page: which were considered, which one was chosen, and the path there."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ import numpy as np
 
 from infomap_ros.geometry import PinholeCamera
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.viewer.shapes import BASE_WAY, CHOSEN, REJECTED, draw_way, frustum, place
+from infomap_ros.viewer.shapes import BASE_PATH, CHOSEN, REJECTED, draw_path, frustum, place
 
 _LENGTH = 0.14  # of the arrow of a view [m]
 _STYLE = "margin:0.3em 0;padding:0 0.6em 0 0.8em;font-size:0.85em;overflow-wrap:anywhere"
 _LISTED = 4  # views whose terms are told
-_LIFT = np.array([0.0, 0.0, 0.03])  # of the base's way above the ground [m]
+_LIFT = np.array([0.0, 0.0, 0.03])  # of the base's path above the ground [m]
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +40,7 @@ class ConsideredView:
 
 
 class ViewsLayer:
-    """Draws views and ways, and says why.
+    """Draws views and paths, and says why.
 
     Args:
         viser: the server.
@@ -79,10 +79,10 @@ class ViewsLayer:
         """Say why a view was chosen, or why none."""
         self._reason.content = as_text(reason)
 
-    def show_way(self, places: FloatArray) -> None:
-        """Show the way of the base, shape (K, 3) [m, map]; K = 0 where it stays."""
+    def show_path(self, places: FloatArray) -> None:
+        """Show the path of the base, shape (K, 3) [m, map]; K = 0 where it stays."""
         lifted = np.asarray(places, dtype=np.float64).reshape(-1, 3) + _LIFT
-        draw_way(self._scene, "/base_way", lifted, BASE_WAY, 5.0)
+        draw_path(self._scene, "/base_path", lifted, BASE_PATH, 5.0)
 
     def _draw(self, name: str, views: Sequence[ConsideredView], width: float) -> None:
         if not views:

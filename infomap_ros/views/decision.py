@@ -120,7 +120,7 @@ class ViewDecision:
 
 
 def count_reasons(reasons: Iterable[tuple[str, int]]) -> Counter[str]:
-    """How often there was each of some reasons, told with how often each time.
+    """How often there was each of some reasons, listed with how often each time.
 
     Reasons that differ in nothing but numbers count as one, by the text of the first.
     """
@@ -187,15 +187,15 @@ def why_none(views: list[RatedView]) -> str:
     if not views:
         return "no candidate view: the camera is in no known free space"
     counts = count_reasons((view.rejection, 1) for view in views if view.rejection)
-    told = (
+    listed = (
         f"{shorten(why.split(';')[0], _LETTERS, placeholder=' ...')} ({count})"
         for why, count in counts.most_common(5)
     )
-    return f"no view can be chosen: {counts.total()} ruled out, most: {', '.join(told)}."
+    return f"no view can be chosen: {counts.total()} ruled out, most: {', '.join(listed)}."
 
 
 _LETTERS = 70
-"""Of a reason against views; its first clause is told."""
+"""Of a reason against views; its first clause is listed."""
 
 
 _SAME_DISTANCE, _SAME_ANGLE = 0.2, 0.35
@@ -203,8 +203,8 @@ _SAME_DISTANCE, _SAME_ANGLE = 0.2, 0.35
 _AROUND = 0.8  # [m] about a remembered view, where the map must change for it to be tried again
 _LOCAL_CHANGE = 0.02  # share of the voxels there whose state must change for that
 _OVERALL_CHANGE = 0.15
-# share by which the number of known voxels must change for all to be tried again: the way may lead
-# elsewhere
+# share by which the number of known voxels must change for all to be tried again: the route may
+# lead elsewhere
 
 
 @dataclass(frozen=True, eq=False)
@@ -345,7 +345,7 @@ def _known(voxel_map: VoxelMap, keys: NDArray[np.int64]) -> NDArray[np.bool_]:
 
 
 class GainPrior:
-    """What share of what views could tell they have told, in their order.
+    """What share of what views could inform they have informed, in their order.
 
     A camera that looks into the sky, or at a wall closer than it can match, is told nothing, and
     the map goes on promising as much. What the map has gained by a view, against what the view
@@ -361,15 +361,15 @@ class GainPrior:
         self._entropy = math.nan
 
     def note(self, left: Sequence[float], entropy: float) -> None:
-        """Count views since the last call; of several it is not known which has told what.
+        """Count views since the last call; of several it is not known which has informed what.
 
         Args:
             left: what each of them is still expected to tell, oldest first [bits]; NaN for one
                 that was wanted, and the robot looked from beside it.
             entropy: of the region of the task with them [bits].
         """
-        told = max(self._entropy - entropy, 0.0)
+        gained = max(self._entropy - entropy, 0.0)
         self._entropy = entropy
         taken = [each for each in left if not math.isnan(each)]
-        known = len(taken) == 1 and told + taken[0] > 0.0
-        self.shares += [told / (told + each) if known else math.nan for each in left]
+        known = len(taken) == 1 and gained + taken[0] > 0.0
+        self.shares += [gained / (gained + each) if known else math.nan for each in left]

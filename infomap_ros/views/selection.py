@@ -39,7 +39,7 @@ class SelectionConfig:
     )
     min_information: float = setting(
         0.005,
-        "A view that is expected to tell less than this share of a full unknown view is not worth "
+        "A view that is expected to bring less than this share of a full unknown view is not worth "
         "taking.",
         low=0.0,
         high=1.0,
@@ -53,8 +53,8 @@ class SelectionConfig:
         15, "To at most so many views a motion is planned before the choice gives up.", low=1
     )
     alternatives: ClassVar[int] = 3
-    """Where the way turns out longer than it looked, at most so many views are compared by the
-    way that each really takes.
+    """Where the route turns out longer than it looked, at most so many views are compared by the
+    route that each really takes.
     """
     elsewhere: ClassVar[float] = 0.4
     """Views nearer than this to one that could not be reached are tried after all others [m]."""
@@ -95,7 +95,7 @@ class Approach:
 
     Attributes:
         index: of the view that is chosen, None as long as there is none.
-        result: the way to it.
+        result: the route to it.
         is_over: a view is reached, or all attempts are spent.
         tried: the views to which a motion was planned.
     """
@@ -113,9 +113,9 @@ class Approach:
         Args:
             config: limits.
             options: the views.
-            cost: what a way costs.
+            cost: what a route costs.
             reachability: plans the motions.
-            compares: whether scores count in full views, so that what a way costs can be taken off.
+            compares: whether scores count in full views, so that costs of routes can be taken off.
         """
         self.index: int | None = None
         self.result: ReachResult | None = None
@@ -127,8 +127,8 @@ class Approach:
     def try_in_turn(self, views: list[RatedView], order: list[int], first_wins: bool) -> None:
         """Plan to views, best first.
 
-        A way that is longer than it looked lowers the score; the next views are then tried too, as
-        long as they may still turn out better.
+        A route that is longer than it looked lowers the score; the next views are then tried too,
+        as long as they may still turn out better.
 
         Args:
             views: all views; gets the reasons.
@@ -156,7 +156,7 @@ class Approach:
 
     def _put_down(self, views: list[RatedView], index: int, result: ReachResult) -> None:
         """Note why a view is not reached; the first partial approach is second best."""
-        reason = result.reason or "the way does not lead all the way"
+        reason = result.reason or "the route does not lead all the way"
         views[index] = views[index].rejected(reason)
         leads_on = result.partial and result.travel >= self._config.min_progress
         if leads_on and self.index is None:
@@ -171,7 +171,7 @@ class Approach:
         return far + [i for i, is_near in zip(waiting, near, strict=True) if is_near]
 
     def _surcharge(self, view: RatedView, index: int, result: ReachResult) -> float:
-        """What the way really costs beyond what the rating has assumed [full views]."""
+        """What the route really costs beyond what the rating has assumed [full views]."""
         assumed = view.terms.get(self._cost.term.name, np.nan)
         return self._cost.surcharge(result, assumed, float(self._options.path_lengths[index]))
 
@@ -231,13 +231,13 @@ class Selection:
     def _reject_worthless(
         self, views: list[RatedView], ratings: Ratings, indices: IntArray
     ) -> None:
-        """Reject what tells too little or is not worth its cost, if the strategy cares."""
+        """Reject what brings too little or is not worth its cost, if the strategy cares."""
         if not self._strategy.requires_positive_utility:
             return
         least = self._config.min_information
         for index, share, rating in zip(indices, ratings.shares, ratings.ratings, strict=True):
             if share < least:
-                views[index] = views[index].rejected("tells too little")
+                views[index] = views[index].rejected("too little information")
             elif rating < self._config.min_rating:
                 views[index] = views[index].rejected("not worth its cost")
 

@@ -19,8 +19,10 @@ from infomap_ros.cli import study_commands as studies
 from infomap_ros.cli.results import results_in
 from infomap_ros.errors import InvalidInputError
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
+from infomap_ros.mapping.files.export import PLY_VERTEX
 
 from ..replay.scenes import START, STEP, depth_frames, fill_after, stereo_frames, write
+from ..team import test_map_changes as map_changes
 
 
 @pytest.fixture
@@ -228,6 +230,48 @@ def test_merge_says_when_nothing_tells_that_the_frames_are_one(tmp_path, run):
     status, _, error = run("merge", a, far, "--out", tmp_path / "c.infomap")
     assert status == 0
     assert "0 surface voxels in common" in error
+
+
+def test_changes_are_said_counted_and_drawn(tmp_path, run):
+    old, new, out = (tmp_path / name for name in ("old.infomap", "new.infomap", "changes.ply"))
+    map_changes.monday().save(old)
+    map_changes.tuesday().save(new)
+    status, stdout, error = run("changes", old, new, "--out", out)
+    assert status == 0
+    figures = json.loads(stdout)
+    lines = error.splitlines()
+    assert sorted(line.split(":")[0] for line in lines[:3]) == ["appeared", "vanished", "vanished"]
+    for line, each in zip(lines[:3], figures["objects"], strict=True):
+        for low, high in zip(each["low"], each["high"], strict=True):
+            assert f"{low:.2f} to {high:.2f}" in line
+        assert f"{each['voxels']} voxels" in line
+    (box,) = (each for each in figures["objects"] if each["what"] == "appeared")
+    middle, sides = np.array(map_changes.MOVED_BOX).reshape(2, 3)
+    np.testing.assert_allclose(box["low"][:2], (middle - sides / 2)[:2], atol=0.06)
+    np.testing.assert_allclose(box["high"], middle + sides / 2, atol=0.06)
+    for line, share in zip(lines[3:], ("old_seen_share", "new_seen_share"), strict=True):
+        assert f"could see {figures[share]:.1%} of" in line
+        assert 0.8 < figures[share] < 1.0
+    head, _, data = out.read_bytes().partition(b"end_header\n")
+    vertices = np.frombuffer(data, PLY_VERTEX)
+    assert f"element vertex {len(vertices)}\n".encode() in head
+    red = vertices[vertices["red"] > vertices["blue"]]
+    assert len(red) == figures["appeared_voxels"] == len(vertices) - figures["vanished_voxels"]
+    away = np.stack([red[axis] for axis in "xyz"], axis=1) - middle
+    assert (np.abs(away) < sides / 2 + 0.02).all()
+    assert (vertices["probability"] >= 0.95).all()
+    assert ((vertices["sigma"] > 0.0) & (vertices["sigma"] < 0.02)).all()
+    assert run("changes", old, new, "--out", out)[0] == 1  # is there
+
+
+def test_changes_does_not_say_that_nothing_changed_where_nothing_was_compared(tmp_path, run):
+    a, far = (_wall_map(tmp_path / f"{x}.infomap", x) for x in (0.0, 50.0))
+    status, stdout, error = run("changes", a, far)
+    assert status == 0
+    assert json.loads(stdout)["objects"] == []
+    assert json.loads(stdout)["old_seen_share"] == 0.0
+    assert error.count("could see 0.0% of the") == 2
+    assert error.count("of the rest nothing is said") == 2
 
 
 def maps_of_two_sessions(folder):

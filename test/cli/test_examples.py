@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 from infomap_ros import cli
 from infomap_ros.cli import study_commands as studies
-from infomap_ros.cli.late_commands import LateCommand
+from infomap_ros.cli.app import LateCommand
 from infomap_ros.localization.target.tag_board import FAMILIES
 
 REPOSITORY = Path(__file__).resolve().parents[2]

@@ -13,7 +13,7 @@ from rich.console import Console
 from infomap_ros import cli
 from infomap_ros.cli.results import INTERRUPTED, stops_when_interrupted
 from infomap_ros.mapping import VoxelMap
-from infomap_ros.replay.mapping.map_run import MapRun
+from infomap_ros.replay.map_run import MapRun
 
 from ..replay.scenes import depth_frames, write
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from infomap_ros.cli.late_commands import new_app
+from infomap_ros.cli.app import new_app
 from infomap_ros.cli.tags_command import tags
 from infomap_ros.errors import InvalidInputError
 from infomap_ros.localization.target.tag_board import FAMILIES, TagBoardConfig, draw_board

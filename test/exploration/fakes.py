@@ -89,7 +89,7 @@ class FakePlanner:
         self.states.append(state)
         return self.script.pop(0) if len(self.script) > 1 else self.script[0]
 
-    def way_to(self, state: RobotState, place: KnownPlace) -> Choice:
+    def route_to(self, state: RobotState, place: KnownPlace) -> Choice:
         x, y, _ = place.base
         route = route_to(x, y, state.T_map_base[:2, 3])
         return self.home or Choice(progress(), pose_at(x, y), route, "")

@@ -98,8 +98,8 @@ def entries(count: int = 12, candidates: int = 60) -> list[dict[str, Any]]:
         found.append(_progress(view, distance, time, count))
         found.append(_decision(view, pose, time, rng, candidates))
         base = pose[:2, 3] * 0.7
-        way = np.linspace(before, base, 20)
-        path = np.column_stack([way, ground(way[:, 0], way[:, 1])])
+        places = np.linspace(before, base, 20)
+        path = np.column_stack([places, ground(places[:, 0], places[:, 1])])
         distance += float(np.linalg.norm(base - before))
         before = base
         blocked = view == 5

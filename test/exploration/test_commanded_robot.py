@@ -15,7 +15,7 @@ from infomap_ros.motion.route import ArmPath
 class RollingLink:
     """A base that brakes over 0.2 m, and shows its true place a tenth of a second late."""
 
-    tells_results, fused_scans = False, 0
+    reports_results, fused_scans = False, 0
 
     def __init__(self) -> None:
         self.time, self.x, self.speed = 0.0, 0.0, 0.0

@@ -55,7 +55,7 @@ def test_good_fiducials_ahead_make_the_pose_better_than_it_is() -> None:
 def test_without_fiducials_it_is_of_the_size_of_odometry_drift() -> None:
     nothing = known(np.empty((0, 3)))
     error, drift = FiducialLocalizationError(RIG, lambda: nothing), OdometryDrift()
-    poses = np.stack([make_transform(FORWARD, (way, 0, 0.8)) for way in (0.5, 1.0, 2.0)])
+    poses = np.stack([make_transform(FORWARD, (distance, 0, 0.8)) for distance in (0.5, 1.0, 2.0)])
     arguments = situation(), poses, np.array([0.5, 1.0, 2.0])
     ratios = error(*arguments) / drift(*arguments)
     # Drift counts its sigma once, not along each axis, and of the rotation only the heading.

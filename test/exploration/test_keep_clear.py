@@ -13,7 +13,6 @@ from infomap_ros.exploration.robot import Interrupted, Motion, RobotState
 from infomap_ros.exploration.team.keep_clear import (
     PAUSE,
     Awareness,
-    KeepClearConfig,
     KeepsClear,
     rest_of,
 )
@@ -24,7 +23,7 @@ from infomap_ros.team.agents import Agent
 RADIUS, SPEED, TICK = 0.4, 0.3, 0.1
 BODY = PlacedSolid(Cylinder(RADIUS / np.sqrt(2.0), 0.5), np.eye(4), "body")
 HAND, LENGTH = Sphere(0.1), 0.8
-WAY = np.column_stack([np.linspace(0.0, 4.0, 9), np.zeros(9), np.zeros(9)])
+PATH = np.column_stack([np.linspace(0.0, 4.0, 9), np.zeros(9), np.zeros(9)])
 MATE = Agent(
     2, 7, 1, 1, 0, np.eye(4), np.eye(4), None, PinholeCamera(64, 48, 45.0, 45.0, 31.5, 23.5), 4.0,
     radius=RADIUS,
@@ -48,7 +47,7 @@ class Stage:
             lambda: self._pass(PAUSE),
             lambda state, _: self.said.append(state),
         )
-        self.robot = KeepsClear(self, around, KeepClearConfig(wait_timeout=10.0))
+        self.robot = KeepsClear(self, around)
 
     def drive(self, poses: np.ndarray, interrupted: Interrupted) -> Motion:
         path = [tuple(self.base)]
@@ -98,32 +97,32 @@ class Stage:
 
 
 def crossing(now: float) -> tuple[float, float]:
-    """Crosses the way in its middle when the robot would be there."""
+    """Crosses the path in its middle when the robot would be there."""
     return 2.0, -2.0 + 0.3 * now
 
 
 def test_it_lets_a_teammate_cross_and_then_drives_on_to_the_end() -> None:
     stage = Stage(crossing)
-    motion = stage.robot.drive(WAY, lambda: False)
+    motion = stage.robot.drive(PATH, lambda: False)
     assert motion.outcome == ""
-    np.testing.assert_allclose(stage.base, WAY[-1], atol=1e-9)
+    np.testing.assert_allclose(stage.base, PATH[-1], atol=1e-9)
     assert stage.said == ["waiting for teammates", "going on"]
     assert stage.nearest > 0.15
     steps = np.linalg.norm(np.diff(np.array(motion.path), axis=0), axis=1)
     assert steps.sum() == pytest.approx(4.0, abs=0.05)
 
     careless = Stage(crossing)
-    careless.drive(WAY, lambda: False)
+    careless.drive(PATH, lambda: False)
     assert careless.nearest < 0.0
 
 
-def test_it_gives_the_way_up_where_a_teammate_stops_in_it() -> None:
+def test_it_gives_the_path_up_where_a_teammate_stops_on_it() -> None:
     stage = Stage(lambda now: (2.0, -2.0 + min(0.5 * now, 2.0)))
-    motion = stage.robot.drive(WAY, lambda: False)
+    motion = stage.robot.drive(PATH, lambda: False)
     assert motion.outcome.startswith("robot 2 is in the way, 0.")
     assert stage.nearest > 0.15
     assert stage.said == ["waiting for teammates"]
-    assert 10.0 < stage.now < 16.0
+    assert 15.0 < stage.now < 21.0
 
 
 @pytest.mark.parametrize(
@@ -133,13 +132,13 @@ def test_it_gives_the_way_up_where_a_teammate_stops_in_it() -> None:
 )
 def test_it_does_not_stop_for_others(mate: Callable[[float], tuple[float, float]]) -> None:
     stage = Stage(mate)
-    assert stage.robot.drive(WAY, lambda: False).outcome == ""
+    assert stage.robot.drive(PATH, lambda: False).outcome == ""
     assert not stage.said
 
 
 def test_who_asks_it_to_stop_need_not_wait_for_the_teammate() -> None:
     stage = Stage(lambda now: (2.0, -2.0 + min(0.5 * now, 2.0)))
-    motion = stage.robot.drive(WAY, lambda: stage.now > 8.0)
+    motion = stage.robot.drive(PATH, lambda: stage.now > 8.0)
     assert motion.outcome == "broken off"
     assert stage.now < 9.0
 

@@ -18,8 +18,8 @@ from infomap_ros.exploration.robot import (
     Interrupted,
     Motion,
     RobotState,
+    path_length,
     planar_pose,
-    way_length,
 )
 from infomap_ros.exploration.rules import Control, Request
 from infomap_ros.exploration.task import TaskConfig
@@ -97,10 +97,10 @@ def test_ends_where_views_bring_nothing_any_more() -> None:
     known = [0.3, 0.5, 0.4, 0.55, 0.56, 0.5602, 0.5601, 0.5603, 0.9]
     script = [view(float(n), share) for n, share in enumerate(known)]
     clock = map(float, itertools.count())
-    run = Run(*script, task=TaskConfig(unproductive_views=3), clock=clock.__next__)
+    run = Run(*script, task=TaskConfig(unproductive_views=3, min_rate=0.02), clock=clock.__next__)
     ending = run.exploration.run()
     assert ending.reason is EndReason.NOTHING_LEFT
-    assert "the last 3 views told 10 bits and made 1.02 % more of the surface" in ending.detail
+    assert "the last 3 views brought 10 bits and made 1.02 % more of the surface" in ending.detail
     assert run.exploration.mission.views == 7
 
 
@@ -347,11 +347,11 @@ def test_bad_mission_file_is_refused_by_name(tmp_path: Path, text: str) -> None:
         Mission.load(path)
 
 
-def test_planar_pose_and_way_length() -> None:
+def test_planar_pose_and_path_length() -> None:
     turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     np.testing.assert_allclose(planar_pose(make_transform(turn, (1, 2, 3))), (1, 2, np.pi / 2))
-    assert way_length([[0, 0, 0], [3, 4, 0], [3, 4, 2]]) == pytest.approx(7.0)
-    assert way_length([]) == 0.0
+    assert path_length([[0, 0, 0], [3, 4, 0], [3, 4, 2]]) == pytest.approx(7.0)
+    assert path_length([]) == 0.0
 
 
 @pytest.mark.parametrize(

@@ -275,7 +275,7 @@ def test_chart_places_its_points_in_proportion() -> None:
 
 
 def test_chart_without_values_says_so() -> None:
-    assert "tells no value" in line_chart(Curve("sigma", "m", [0.0], [np.nan], "views"))
+    assert "no value in the log" in line_chart(Curve("sigma", "m", [0.0], [np.nan], "views"))
 
 
 @pytest.mark.parametrize(

@@ -53,9 +53,12 @@ def with_hole(voxel_map: VoxelMap) -> VoxelMap:
 
 
 def view_from(position: tuple[float, float, float], at: tuple[float, float, float]) -> np.ndarray:
-    way = np.subtract(at, position)
+    direction = np.subtract(at, position)
     pose = np.eye(4)
-    azimuth, elevation = np.arctan2(way[1], way[0]), np.arctan2(way[2], np.hypot(*way[:2]))
+    azimuth, elevation = (
+        np.arctan2(direction[1], direction[0]),
+        np.arctan2(direction[2], np.hypot(*direction[:2])),
+    )
     pose[:3, :3] = look_rotations(np.array([azimuth]), np.array([elevation]))[0]
     pose[:3, 3] = position
     return checked_poses(pose)[0]

@@ -67,7 +67,7 @@ def test_who_stood_in_view_before_it_was_heard_is_taken_out(
     voxel_map.take_changes()
     floor = ground_voxels(voxel_map)
     bodies = TeamBodies()
-    bodies.hear(told(robot, WHEN, 1))
+    bodies.receive(told(robot, WHEN, 1))
     assert forget_arrivals(corrected, bodies) == [], "its solids are not known yet"
     bodies.describe(2, robot)
 
@@ -85,13 +85,13 @@ def test_it_does_not_come_back_with_scans_that_are_moved(robot: RobotModel) -> N
     corrected = mapped_as_scene(robot, 1.0)
     bodies = TeamBodies()
     bodies.describe(2, robot)
-    bodies.hear(told(robot, WHEN, 1))
+    bodies.receive(told(robot, WHEN, 1))
     forget_arrivals(corrected, bodies)
     moved = LOOKING.copy()
     moved[0, 3] -= SHIFT
 
-    corrected.hear(3, [0, 1, 2, 3], np.array([LOOKING] * 4))
-    corrected.hear(4, [0, 1, 2, 3], np.array([moved] * 4))
+    corrected.receive_poses(3, [0, 1, 2, 3], np.array([LOOKING] * 4))
+    corrected.receive_poses(4, [0, 1, 2, 3], np.array([moved] * 4))
     report = corrected.correct()
 
     assert report is not None and report.scans_moved == 4
@@ -103,12 +103,12 @@ def test_who_was_forgotten_and_is_back_is_taken_out_where_it_was_and_is(robot: R
     """It was forgotten, mapped, and has folded its arm before it is heard again."""
     bodies = TeamBodies()
     bodies.describe(2, robot)
-    bodies.hear(told(robot, WHEN, 1))
+    bodies.receive(told(robot, WHEN, 1))
     bodies.take_arrivals()
     bodies.keep([])
     corrected = mapped_as_scene(robot, 0.0)
     agent = told(robot, WHEN, 2)
-    bodies.hear(replace(agent, joints=dict.fromkeys(agent.joints, 0.0)))
+    bodies.receive(replace(agent, joints=dict.fromkeys(agent.joints, 0.0)))
     bodies.describe(2, robot)
 
     assert forget_arrivals(corrected, bodies) == [2, 2]
@@ -120,7 +120,7 @@ def test_who_does_not_know_well_where_it_is_is_waited_for(robot: RobotModel) -> 
     bodies = TeamBodies()
     bodies.describe(2, robot)
     agent = told(robot, WHEN, 1)
-    bodies.hear(replace(agent, covariance=np.diag([0.3**2] * 6)))
+    bodies.receive(replace(agent, covariance=np.diag([0.3**2] * 6)))
     assert bodies.take_arrivals() == []
-    bodies.hear(told(robot, WHEN + 200, 2))
+    bodies.receive(told(robot, WHEN + 200, 2))
     assert len(bodies.take_arrivals()) == 1

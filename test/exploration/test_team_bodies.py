@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from infomap_ros.errors import PoseUnavailableError
-from infomap_ros.exploration.team.teammate_places import TeamBodies, TeamBodiesConfig, on_bodies
+from infomap_ros.exploration.team import teammate_places
+from infomap_ros.exploration.team.teammate_places import TeamBodies, on_bodies
 from infomap_ros.geometry import (
     PinholeCamera,
     PlacedSolid,
@@ -163,7 +164,7 @@ def heard(
 ) -> TeamBodies:
     bodies = TeamBodies()
     for version, time in enumerate(TOLD, 1):
-        bodies.hear(told(robot, time, version, error, sigma))
+        bodies.receive(told(robot, time, version, error, sigma))
     if described:
         bodies.describe(2, robot)
     return bodies
@@ -197,17 +198,20 @@ def test_nor_does_one_that_was_last_heard_a_while_ago(robot: RobotModel) -> None
     bodies = TeamBodies()
     bodies.describe(2, robot)
     for version, time in enumerate((0, 200), 1):
-        bodies.hear(told(robot, time, version))
+        bodies.receive(told(robot, time, version))
     after, _ = mapped(robot, bodies, SCANS)
     assert occupied_near(after, robot, SCANS) == 0
 
 
-def test_the_body_grows_with_the_time_for_which_its_place_is_not_known(robot: RobotModel) -> None:
-    bodies = TeamBodies(TeamBodiesConfig(speed=0.5, max_growth=0.3))
+def test_the_body_grows_with_the_time_for_which_its_place_is_not_known(
+    robot: RobotModel, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(teammate_places, "_MAX_GROWTH", 0.3)
+    bodies = TeamBodies()
     bodies.describe(2, robot)
-    bodies.hear(told(robot, 0, 1))
+    bodies.receive(told(robot, 0, 1))
     margins = [bodies.bodies_in(pose_at(time))[0].margin for time in (0, 200, 400, 600, 5000)]
-    np.testing.assert_allclose(np.diff(margins), [0.1, 0.1, 0.1, 0.0], atol=1e-9)
+    np.testing.assert_allclose(np.diff(margins), [0.14, 0.14, 0.02, 0.0], atol=1e-9)
     sure = [bodies.bodies_in(pose_at(time))[0].is_sure for time in (0, 200)]
     assert sure == [True, False]
 
@@ -223,8 +227,8 @@ def test_between_two_messages_its_place_is_interpolated(robot: RobotModel) -> No
 def test_who_has_not_moved_was_there_all_the_time(robot: RobotModel) -> None:
     bodies = TeamBodies()
     bodies.describe(2, robot)
-    bodies.hear(told(robot, 0, 1))
-    bodies.hear(replace(told(robot, 3000, 2), since=1000 * MS))
+    bodies.receive(told(robot, 0, 1))
+    bodies.receive(replace(told(robot, 3000, 2), since=1000 * MS))
     sure = [bodies.bodies_in(pose_at(time))[0].is_sure for time in (900, 1000, 2000, 3000, 3100)]
     assert sure == [False, True, True, True, False]
     bodies.check_known_at(2000 * MS, 2000 * MS, [2])

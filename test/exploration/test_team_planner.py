@@ -11,7 +11,7 @@ import pytest
 from infomap_ros.errors import TeammatesBusyError, UpdateRefusedError
 from infomap_ros.exploration.robot import Choice, RobotState
 from infomap_ros.exploration.task import TaskConfig
-from infomap_ros.exploration.team.team_planner import TeamPlanner
+from infomap_ros.exploration.team.team_planner import SETTLING, TeamPlanner
 from infomap_ros.exploration.team.teamwork import Presence, Teamwork, teammate_of
 from infomap_ros.exploration.view_planner import Surrounding, ViewPlanner, ViewPlannerConfig
 from infomap_ros.geometry import PinholeCamera, StereoRig, make_transform
@@ -21,6 +21,7 @@ from infomap_ros.mapping.voxels.state import VoxelStates, information_of, put_st
 from infomap_ros.motion.robot.robot_model import RobotModel
 from infomap_ros.motion.whole_body import ReachingConfig
 from infomap_ros.simulation.body.robot import read_description
+from infomap_ros.team.agent_board import SILENCE
 from infomap_ros.team.agents import AgentsConfig
 from infomap_ros.views.next_best_view import NextBestViewConfig
 from infomap_ros.views.sampling.candidates import CandidateConfig
@@ -55,7 +56,7 @@ class Air:
             sender, text = self.waiting.pop(0)
             for team in self.teams:
                 if team is not sender:
-                    team.hear(text, self.now)
+                    team.receive(text, self.now)
 
 
 class Member:
@@ -81,10 +82,10 @@ class Member:
 
     def announce(self) -> None:
         presence = Presence(5, self.state, self.robot, CAMERA, 2.5, "choosing")
-        self.air.waiting.append((self.team, self.team.tell(presence).text))
+        self.air.waiting.append((self.team, self.team.announcement(presence).text))
 
     def wait(self, seconds: float) -> None:
-        assert seconds == self.team.config.settling
+        assert seconds == SETTLING
         during, self.during_wait = self.during_wait, lambda: None
         during()
         self.air.now += seconds
@@ -299,7 +300,7 @@ def test_it_waits_for_nobody_where_that_cannot_help(robot: RobotModel, why: str)
         mate.announce()
         air.carry()
     if why == "silent":
-        air.now += mate.team.config.silence + 0.1
+        air.now += SILENCE + 0.1
     assert one.planner.choose(VoxelMap(), one.state).reason == "no view"
 
 
@@ -307,29 +308,29 @@ def test_who_is_silent_no_longer_wants_anything_but_still_stands_there(robot: Ro
     air, one, mate = scripted(robot, Script(robot))
     claims(mate, 2.0)
     (before,) = one.team.teammates(air.now)
-    ways = one.team.obstacles(air.now, one.state, robot)
+    obstacles = one.team.obstacles(air.now, one.state, robot)
     air.now += 6.0
     (after,) = one.team.teammates(air.now)
     bodies = one.team.obstacles(air.now, one.state, robot)
     assert before.goal is not None and after.goal is None
-    assert len(ways) > 1 and [body.name for body in bodies] == ["robot 5"]
+    assert len(obstacles) > 1 and [body.name for body in bodies] == ["robot 5"]
     air.now += 60.0
     assert one.team.teammates(air.now) == ()
 
 
-def test_obstacles_hold_body_and_way_but_not_ones_own_place(robot: RobotModel) -> None:
+def test_obstacles_hold_body_and_path_but_not_ones_own_place(robot: RobotModel) -> None:
     air, one, mate = scripted(robot, Script(robot))
     claims(mate, -3.0)
-    body, *way = one.team.obstacles(air.now, one.state, robot)
+    body, *path = one.team.obstacles(air.now, one.state, robot)
     points = robot_points(robot, mate.state)
     away = np.hypot(points[:, 0] - body.x, points[:, 1] - body.y)
     assert away.max() + 0.3 <= body.radius + 1e-9
     assert body.bottom <= points[:, 2].min() and body.top >= points[:, 2].max()
     own = robot_points(robot, one.state)
-    for obstacle in way:
+    for obstacle in path:
         gaps = np.hypot(own[:, 0] - obstacle.x, own[:, 1] - obstacle.y)
         assert gaps.min() >= obstacle.radius
-    corridor = [o for o in way if o.x > 1.5]
+    corridor = [o for o in path if o.x > 1.5]
     assert max(np.diff(sorted(o.x for o in corridor))) < 2.0 * min(o.radius for o in corridor)
 
 
@@ -344,7 +345,7 @@ def test_strangers_do_not_count(robot: RobotModel) -> None:
     closed = Teamwork(1, 3, 1, team=(1, 2))
     mate.announce()
     with pytest.raises(UpdateRefusedError, match="not on the team list"):
-        closed.hear(air.waiting[0][1], 0.0)
+        closed.receive(air.waiting[0][1], 0.0)
     assert closed.present(0.0) == ()
 
 
@@ -359,8 +360,8 @@ def test_it_tells_since_when_it_has_stood_still(robot: RobotModel) -> None:
     )
     since = []
     for stamp, state in ((10, here), (20, here), (30, there), (40, waving), (50, waving)):
-        text = mate.team.tell(Presence(stamp, state, robot, CAMERA, 2.5)).text
-        agent = one.team.hear(text, 0.0)
+        text = mate.team.announcement(Presence(stamp, state, robot, CAMERA, 2.5)).text
+        agent = one.team.receive(text, 0.0)
         assert agent is not None
         since.append(agent.since)
     assert since == [10, 10, 30, 40, 40]
@@ -371,7 +372,7 @@ def test_a_goal_that_is_never_reached_is_given_up(robot: RobotModel) -> None:
     mate.team.claim(pose_at(2.0, 0.0), np.zeros((1, 3)), {})
     held = []
     for seconds in (100, 399, 401, 500):
-        mate.team.tell(Presence(seconds * 10**9, mate.state, robot, CAMERA, 2.5))
+        mate.team.announcement(Presence(seconds * 10**9, mate.state, robot, CAMERA, 2.5))
         held.append(mate.team.goal is not None)
     assert held == [True, True, False, False]
 
@@ -382,16 +383,18 @@ def test_a_robot_whose_clock_went_back_learns_it_and_is_heard(robot: RobotModel)
     versions = (10**6, 10**6 - 5000)
     first, again = (Teamwork(number, session, v) for session, v in enumerate(versions, start=50))
     presence = Presence(5, mate.state, robot, CAMERA, 2.5)
-    assert one.team.hear(first.tell(presence).text, 0.0)
+    assert one.team.receive(first.announcement(presence).text, 0.0)
     heard = []
     for now in (1.0, 1.2, 1.4):
-        heard.append(one.team.hear(again.tell(presence).text, now) is not None)
-        again.hear(one.team.tell(presence).text, now)
+        heard.append(one.team.receive(again.announcement(presence).text, now) is not None)
+        again.receive(one.team.announcement(presence).text, now)
     assert heard == [False, True, True]
     liar = Teamwork(77, 1, 2**20)
     liar.claim(pose_at(2.0, 0.0), np.zeros((1, 3)), {number: 10**6 + 2**30})
-    again.hear(liar.tell(presence).text, 1.5)
-    assert one.team.hear(again.tell(presence).text, 1.6), "not sent where nobody hears it"
+    again.receive(liar.announcement(presence).text, 1.5)
+    assert one.team.receive(again.announcement(presence).text, 1.6), (
+        "not sent where nobody hears it"
+    )
 
 
 def test_a_teammate_is_told_as_it_is(robot: RobotModel) -> None:

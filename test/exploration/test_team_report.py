@@ -27,8 +27,8 @@ def test_the_report_shows_all_robots(tmp_path: Path) -> None:
     assert "c0ffee" in page
     assert page.count('class="chart"') == 3  # views, meters and time
     assert page.count('class="curve run-1"') == 3
-    ways = [page.count(f'<polyline class="{kind}"') for kind in ("base", "base dashed")]
-    assert ways[0] == ways[1] > 0
+    paths = [page.count(f'<polyline class="{kind}"') for kind in ("base", "base dashed")]
+    assert paths[0] == paths[1] > 0
     steps = re.findall(r'data-step="(\d+)"', page)
     assert len(set(steps)) == len(steps) > 2  # each view is one of the 3-D scene
     manifest = re.search(r'<script id="manifest" type="application/json">(.*?)</script>', page)

@@ -210,7 +210,7 @@ def test_a_base_that_stands_in_a_region_is_told_and_can_drive_out(robot, half_kn
     region = Polygon.of([(0.1, -0.3), (0.8, -0.3), (0.8, 0.3), (0.1, 0.3)], "puddle")
     planner.motion.keep_out = KeepOut((region,))
     home = KnownPlace("home", (-0.2, 1.1, 0.0), state.joints)
-    choice = planner.way_to(half_known, state, home)
+    choice = planner.route_to(half_known, state, home)
     assert choice.route is not None, choice.reason
     assert planner.motion.stands_wrongly == "in or next to keep-out region 'puddle'"
     np.testing.assert_allclose(choice.route.base_path[-1, :2], (-0.2, 1.1), atol=0.05)
@@ -219,7 +219,7 @@ def test_a_base_that_stands_in_a_region_is_told_and_can_drive_out(robot, half_kn
     assert (np.diff(np.sign(near)) >= 0).all(), "it goes in again"
     assert planner.motion.route_problem(half_known, state) == ""
     planner.motion.keep_out = KeepOut()
-    planner.way_to(half_known, state, home)
+    planner.route_to(half_known, state, home)
     assert planner.motion.stands_wrongly == ""
 
 
@@ -239,7 +239,7 @@ def test_little_is_worth_a_view_where_the_task_asks_for_it(robot, thorough, want
 @pytest.mark.parametrize(
     ("thorough", "wanted", "goes"), [(1.0, 1.0, False), (0.01, 0.1, False), (0.01, 1.0, True)]
 )
-def test_a_long_way_is_worth_it_where_the_task_asks_for_it(
+def test_a_long_route_is_worth_it_where_the_task_asks_for_it(
     robot, half_known, thorough, wanted, goes
 ):
     """No view is worth its way where a meter costs five full views."""

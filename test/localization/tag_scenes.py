@@ -27,7 +27,7 @@ class BoardView:
         range_sigma: float | None = None,
         camera: PinholeCamera = CAMERA,
     ) -> None:
-        self.stamp, self.camera, self.has_cloud = 0, camera, False
+        self.stamp, self.camera, self.has_cloud, self.tags = 0, camera, False, None
         self.image = draw_view(board, T_camera_target, rng, camera)
         self._plane = T_camera_target @ board.T_target_board
         self._rng, self._sigma = rng, range_sigma

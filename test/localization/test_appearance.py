@@ -7,7 +7,6 @@ import pytest
 from infomap_ros.errors import InvalidInputError
 from infomap_ros.localization.fiducials.appearance import (
     SCALES,
-    AppearanceConfig,
     corners_of,
     describe,
     find_again,
@@ -52,6 +51,15 @@ def plane() -> TexturedPlane:
     return TexturedPlane()
 
 
+def apart(pixels: np.ndarray, count: int) -> np.ndarray:
+    """The first ones that are at least 12 px from each other."""
+    chosen: list[np.ndarray] = []
+    for pixel in pixels:
+        if len(chosen) < count and all(np.linalg.norm(pixel - one) >= 12.0 for one in chosen):
+            chosen.append(pixel)
+    return np.array(chosen)
+
+
 def test_descriptors_are_those_of_a_naive_histogram(plane: TexturedPlane) -> None:
     image = plane.expose(plane.light(START))
     pixels = np.array([[100.0, 80.0], [5.3, 200.6], [310.0, 3.0]])
@@ -64,7 +72,7 @@ def test_descriptors_are_those_of_a_naive_histogram(plane: TexturedPlane) -> Non
 
 def test_brightness_and_contrast_do_not_matter(plane: TexturedPlane) -> None:
     light = plane.light(START)
-    pixels = corners_of(plane.expose(light), AppearanceConfig(corners=50))
+    pixels = corners_of(plane.expose(light))[:50]
     bright = describe(plane.expose(light), pixels).astype(float)
     dark = describe(plane.expose(0.6 * light + 5.0), pixels).astype(float)
     same = np.linalg.norm(bright - dark, axis=1)
@@ -85,7 +93,7 @@ def test_an_enlarged_image_matches_at_the_scale_of_the_enlargement(plane: Textur
 def test_fiducials_are_found_again_from_nearer_by(plane: TexturedPlane) -> None:
     pose = camera_at([0.1, 0.0, 0.5], [0.0, 0.05, 0.0])
     before, view = plane.view(START), plane.view(pose, 1)
-    pixels = corners_of(before.image, AppearanceConfig(corners=80, corner_distance=12.0))
+    pixels = apart(corners_of(before.image), 80)
     found = find_again(view, describe(before.image, pixels))
     error = np.linalg.norm(found.pixels - plane.moved(START, pose, pixels[found.indices]), axis=1)
     assert len(found.indices) > 20
@@ -97,7 +105,7 @@ def test_fiducials_are_found_again_from_nearer_by(plane: TexturedPlane) -> None:
 
 def test_a_prediction_restricts_where_they_are_found(plane: TexturedPlane) -> None:
     view = plane.view(START)
-    pixels = corners_of(view.image, AppearanceConfig(corners=30, corner_distance=12.0))
+    pixels = apart(corners_of(view.image), 30)
     described = describe(view.image, pixels)
     predicted = pixels + 3.0
     predicted[:5] = [-500.0, 0.0]
@@ -111,7 +119,7 @@ def test_a_prediction_restricts_where_they_are_found(plane: TexturedPlane) -> No
 def test_nothing_is_found_where_nothing_is_alike(plane: TexturedPlane) -> None:
     other = TexturedPlane(seed=9).view(START)
     view = plane.view(START)
-    pixels = corners_of(other.image, AppearanceConfig(corners=100))
+    pixels = corners_of(other.image)[:100]
     found = find_again(view, describe(other.image, pixels))
     assert len(found.indices) < 8
     flat = np.full((240, 320), 100, np.uint8)

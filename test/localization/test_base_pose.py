@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry import PoseRecord, invert_transform, make_transform, perturb_transform
-from infomap_ros.localization.dead_reckoning import DeadReckoningConfig, base_in_map, told_base
+from infomap_ros.localization.dead_reckoning import DeadReckoningConfig, base_in_map, user_base
 from infomap_ros.localization.localizer import Localizer
 from infomap_ros.localization.localizer_config import LocalizerConfig
 
@@ -46,12 +46,12 @@ def test_the_covariance_of_the_base_is_that_of_sampled_poses() -> None:
 def test_who_points_at_a_plan_leaves_height_and_tilt() -> None:
     tilted = perturb_transform(np.eye(4), [1.0, 2.0, 0.4, 0.1, -0.05, 0.0])
     pointed = make_transform(Rotation.from_euler("z", 1.2).as_matrix(), (5.0, -3.0, 0.0))
-    placed = told_base(PoseRecord(0, "map", pointed, PLANE), tilted)
+    placed = user_base(PoseRecord(0, "map", pointed, PLANE), tilted)
     assert_allclose(placed[:3, 3], (5.0, -3.0, 0.4))
     assert_allclose(placed[2, :3], tilted[2, :3])
     assert np.arctan2(placed[1, 0], placed[0, 0]) == pytest.approx(1.2)
     whole = PoseRecord(0, "map", pointed, np.diag([0.04] * 6))
-    assert_allclose(told_base(whole, tilted), pointed)
+    assert_allclose(user_base(whole, tilted), pointed)
 
 
 def test_a_lost_camera_goes_on_from_where_it_is_told() -> None:

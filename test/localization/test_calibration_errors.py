@@ -36,7 +36,7 @@ DRIVE = [looking(np.array([0.15 * k, 0.0, 0.0]), 0.02 * k) for k in range(40)]
 
 
 def hall(rng: np.random.Generator) -> np.ndarray:
-    """Points on both sides of the way and at its end, shape (500, 3)."""
+    """Points on both sides of the path and at its end, shape (500, 3)."""
     x, side = rng.uniform(-1.0, 14.0, 500), rng.choice([-1.0, 1.0], 500)
     return np.column_stack([x, side * rng.uniform(1.0, 5.0, 500), rng.uniform(-1.0, 2.0, 500)])
 

@@ -20,9 +20,10 @@ from infomap_ros.geometry import (
 from infomap_ros.geometry.transforms import perturb_transform
 from infomap_ros.localization.dead_reckoning import DeadReckoning, DeadReckoningConfig
 from infomap_ros.localization.prediction.error_prediction import (
+    PIXEL_SIGMA,
     ErrorPrediction,
     ErrorPredictionConfig,
-    Ways,
+    Paths,
 )
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 
@@ -35,9 +36,9 @@ BEFORE = np.diag([4e-4, 4e-4, 4e-4, 1e-5, 1e-5, 4e-5])
 CONFIG = ErrorPredictionConfig(waypoints=3)
 
 
-def ahead(way: float = 1.0, yaw: float = 0.0) -> np.ndarray:
+def ahead(distance: float = 1.0, yaw: float = 0.0) -> np.ndarray:
     turn = Rotation.from_euler("z", yaw).as_matrix()
-    return np.array([make_transform(turn @ FORWARD, (way, 0.1 * way, 0.8))])
+    return np.array([make_transform(turn @ FORWARD, (distance, 0.1 * distance, 0.8))])
 
 
 def wall(count: int, distance: float = 3.0, seed: int = 1) -> np.ndarray:
@@ -56,7 +57,7 @@ def end(
 ) -> np.ndarray:
     lengths = np.linalg.norm(poses[:, :3, 3] - START[:3, 3], axis=1)
     prediction = ErrorPrediction(RIG, CONFIG)
-    return prediction.predict(START, before, Ways(poses, lengths), (points, covariances))
+    return prediction.predict(START, before, Paths(poses, lengths), (points, covariances))
 
 
 def measurement(T_map_camera: np.ndarray, point: np.ndarray) -> np.ndarray:
@@ -74,8 +75,8 @@ def naive_end(points: np.ndarray, covariances: np.ndarray, pose: np.ndarray) -> 
         place = slice(6 + 3 * n, 9 + 3 * n)
         covariance[place, place] = covariances[n] - (shared - 1e-8) * np.eye(3)
     turn = Rotation.from_matrix(pose[:3, :3] @ START[:3, :3].T).as_rotvec()
-    way = pose[:3, 3] - START[:3, 3]
-    length, angle, motion = np.linalg.norm(way), np.linalg.norm(turn), DeadReckoningConfig()
+    offset = pose[:3, 3] - START[:3, 3]
+    length, angle, motion = np.linalg.norm(offset), np.linalg.norm(turn), DeadReckoningConfig()
     position = motion.position_per_meter**2 * length / steps
     rotation = motion.rotation_per_meter**2 * length + motion.rotation_per_radian**2 * angle
     noise = np.diag([position] * 3 + [rotation / steps] * 3) + 1e-8 * np.eye(6)
@@ -84,7 +85,7 @@ def naive_end(points: np.ndarray, covariances: np.ndarray, pose: np.ndarray) -> 
         share = k / steps
         there = make_transform(
             Rotation.from_rotvec(share * turn).as_matrix() @ START[:3, :3],
-            START[:3, 3] + share * way,
+            START[:3, 3] + share * offset,
         )
         over = np.eye(len(covariance))
         step = invert_transform(here) @ there
@@ -109,7 +110,7 @@ def naive_end(points: np.ndarray, covariances: np.ndarray, pose: np.ndarray) -> 
             for i, delta in enumerate(1e-6 * np.eye(3)):
                 upper, lower = (measurement(here, points[n] + s * delta) for s in (1, -1))
                 slopes[:, 6 + 3 * n + i] = (upper - lower) / 2e-6
-            noise_z = np.diag([CONFIG.pixel_sigma**2, CONFIG.pixel_sigma**2, SIGMA**2])
+            noise_z = np.diag([PIXEL_SIGMA**2, PIXEL_SIGMA**2, SIGMA**2])
             gain = covariance @ slopes.T @ np.linalg.inv(slopes @ covariance @ slopes.T + noise_z)
             covariance = covariance - gain @ slopes @ covariance
     covariance[:3, :3] += shared * np.eye(3)
@@ -140,13 +141,13 @@ def test_without_fiducials_it_is_dead_reckoning() -> None:
 @settings(max_examples=25, deadline=None, derandomize=True)
 @given(st.integers(1, 8), st.integers(0, 10**6), st.floats(0.1, 2.0), st.floats(-0.2, 0.2))
 def test_one_more_fiducial_never_makes_it_worse(
-    count: int, seed: int, way: float, yaw: float
+    count: int, seed: int, distance: float, yaw: float
 ) -> None:
     points = wall(count + 1, seed=seed)
     variances = np.random.default_rng(seed).uniform(1e-4, 1e-2, count + 1)
     covariances = variances[:, None, None] * np.eye(3)
-    fewer = end(points[:-1], covariances[:-1], ahead(way, yaw))[0]
-    more = end(points, covariances, ahead(way, yaw))[0]
+    fewer = end(points[:-1], covariances[:-1], ahead(distance, yaw))[0]
+    more = end(points, covariances, ahead(distance, yaw))[0]
     assert np.linalg.eigvalsh(fewer - more)[0] > -1e-9
     assert np.trace(more) < np.trace(fewer)
 
@@ -177,24 +178,24 @@ def test_fiducials_behind_the_camera_or_a_wall_do_not_count() -> None:
     for _ in range(3):
         voxel_map.integrate(screen, np.eye(4))
     prediction = ErrorPrediction(RIG, CONFIG)
-    way = Ways(ahead(), np.linalg.norm(ahead()[:, :3, 3] - START[:3, 3], axis=1))
-    hidden = prediction.predict(START, BEFORE, way, (points, spread(points)), (), voxel_map)[0]
+    path = Paths(ahead(), np.linalg.norm(ahead()[:, :3, 3] - START[:3, 3], axis=1))
+    hidden = prediction.predict(START, BEFORE, path, (points, spread(points)), (), voxel_map)[0]
     np.testing.assert_allclose(hidden, drift, rtol=1e-6, atol=1e-12)
 
 
-def test_points_of_the_surface_hold_the_way_together_but_tell_nothing_of_the_map() -> None:
+def test_points_of_the_surface_hold_the_path_together_but_tell_nothing_of_the_map() -> None:
     voxel_map = VoxelMap(VoxelMapConfig(voxel_size=0.1, max_range=8.0))
     y, z = np.meshgrid(np.arange(-2.0, 2.0, 0.04), np.arange(-1.0, 2.5, 0.04))
     for _ in range(3):
         voxel_map.integrate(
             np.column_stack([np.full(y.size, 3.0), y.ravel(), z.ravel()]), np.eye(4)
         )
-    way = Ways(ahead(), np.linalg.norm(ahead()[:, :3, 3] - START[:3, 3], axis=1))
+    path = Paths(ahead(), np.linalg.norm(ahead()[:, :3, 3] - START[:3, 3], axis=1))
     none = np.empty((0, 3)), np.empty((0, 3, 3))
     prediction = ErrorPrediction(RIG, CONFIG)
     new = prediction.surface_points(voxel_map)
-    tied = prediction.predict(START, BEFORE, way, none, new, voxel_map)[0]
-    drift = prediction.predict(START, BEFORE, way, none)[0]
+    tied = prediction.predict(START, BEFORE, path, none, new, voxel_map)[0]
+    drift = prediction.predict(START, BEFORE, path, none)[0]
     grown = [np.trace((each - BEFORE)[:3, :3]) for each in (drift, tied)]
     assert grown[1] < 0.3 * grown[0]
     over = np.eye(6)
@@ -202,9 +203,11 @@ def test_points_of_the_surface_hold_the_way_together_but_tell_nothing_of_the_map
     assert np.linalg.eigvalsh(tied - over @ BEFORE @ over.T)[0] > 0.0
 
 
-def test_many_ways_at_once_are_as_one_by_one() -> None:
+def test_many_paths_at_once_are_as_one_by_one() -> None:
     points = wall(6)
-    poses = np.concatenate([ahead(way, yaw) for way in (0.2, 1.0) for yaw in (-0.3, 0.0, 2.0)])
+    poses = np.concatenate(
+        [ahead(distance, yaw) for distance in (0.2, 1.0) for yaw in (-0.3, 0.0, 2.0)]
+    )
     together = end(points, spread(points), poses)
     for pose, covariance in zip(poses, together, strict=True):
         alone = end(points, spread(points), pose[None])[0]
@@ -214,17 +217,17 @@ def test_many_ways_at_once_are_as_one_by_one() -> None:
 def test_a_part_of_many_fiducials_stands_for_all() -> None:
     points = wall(60)
     config = ErrorPredictionConfig(waypoints=3, fiducials=30)
-    way = Ways(ahead(0.5), np.array([0.5]))
+    path = Paths(ahead(0.5), np.array([0.5]))
     fiducials = points, spread(points)
-    part = ErrorPrediction(RIG, config).predict(START, BEFORE, way, fiducials)[0]
+    part = ErrorPrediction(RIG, config).predict(START, BEFORE, path, fiducials)[0]
     every = ErrorPrediction(RIG, ErrorPredictionConfig(waypoints=3, fiducials=60))
-    whole = every.predict(START, BEFORE, way, fiducials)[0]
+    whole = every.predict(START, BEFORE, path, fiducials)[0]
     assert 0.8 < np.trace(part) / np.trace(whole) < 1.25
 
 
 def test_shapes_that_do_not_fit_are_refused() -> None:
     prediction = ErrorPrediction(RIG)
     with pytest.raises(InvalidInputError, match="lengths"):
-        Ways(ahead(), np.ones(2))
+        Paths(ahead(), np.ones(2))
     with pytest.raises(InvalidInputError, match="covariances"):
-        prediction.predict(START, BEFORE, Ways(ahead(), np.ones(1)), (wall(2), spread(wall(3))))
+        prediction.predict(START, BEFORE, Paths(ahead(), np.ones(1)), (wall(2), spread(wall(3))))

@@ -4,7 +4,8 @@ import cv2
 import numpy as np
 import pytest
 
-from infomap_ros.errors import ConfigError, InvalidInputError
+from infomap_ros.errors import InvalidInputError
+from infomap_ros.localization.fiducials import selection
 from infomap_ros.localization.fiducials.range_view import StereoView
 from infomap_ros.localization.fiducials.selection import (
     FiducialSelectionConfig,
@@ -116,18 +117,23 @@ def test_penalty_falls_with_the_distance_to_the_nearest() -> None:
     assert spread_penalty(pixels, np.zeros((0, 2)), 50.0).tolist() == [0.0, 0.0, 0.0]
 
 
-def test_corner_strength_is_the_smaller_eigenvalue_of_the_mean_gradient_product() -> None:
+def test_corner_strength_is_the_smaller_eigenvalue_of_the_mean_gradient_product(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     plane = TexturedPlane(seed=3)
     image = plane.expose(plane.light(START))
     sobel = [cv2.Sobel(image, cv2.CV_64F, *order) / 8.0 for order in ((1, 0), (0, 1))]
-    pixels = corner_candidates(image, np.zeros((0, 2)), FiducialSelectionConfig(min_corner=0.0))
+    config = FiducialSelectionConfig()
+    monkeypatch.setattr(selection, "_MIN_CORNER", 0.0)
+    pixels = corner_candidates(image, np.zeros((0, 2)), config)
     strengths = []
     for u, v in pixels.astype(int):
         window = [g[v - 3 : v + 4, u - 3 : u + 4].ravel() for g in sobel]
         product = np.array([[np.mean(a * b) for a in window] for b in window])
         strengths.append(np.sqrt(np.linalg.eigvalsh(product)[0]))
     limit = float(np.median(strengths))
-    kept = corner_candidates(image, np.zeros((0, 2)), FiducialSelectionConfig(min_corner=limit))
+    monkeypatch.setattr(selection, "_MIN_CORNER", limit)
+    kept = corner_candidates(image, np.zeros((0, 2)), config)
     expected = {tuple(p) for p, s in zip(pixels, strengths, strict=True) if s > 1.01 * limit}
     refused = {tuple(p) for p, s in zip(pixels, strengths, strict=True) if s < 0.99 * limit}
     assert expected <= {tuple(p) for p in kept}
@@ -140,17 +146,17 @@ def test_chosen_ones_keep_their_distance_from_each_other_and_from_those_there(
     first = select_fiducials(view, [], 20)
     second = select_fiducials(view, first, 20)
     assert len(first) == len(second) == 20
-    config = FiducialSelectionConfig()
-    assert distances(np.concatenate([first, second])).min() >= config.min_distance - 1.0
+    assert distances(np.concatenate([first, second])).min() >= selection.MIN_DISTANCE - 1.0
     border = np.concatenate([first, second])
-    assert border.min() >= config.border
-    assert (border < [320 - config.border, 240 - config.border]).all()
+    assert border.min() >= selection.BORDER
+    assert (border < [320 - selection.BORDER, 240 - selection.BORDER]).all()
     assert np.isfinite(view.inverse_depths(first)[0]).all()
 
 
-def test_the_penalty_spreads_them(view: StereoView) -> None:
-    loose = select_fiducials(view, [], 12, config=FiducialSelectionConfig(spread_weight=0.0))
-    spread = select_fiducials(view, [], 12, config=FiducialSelectionConfig(spread_weight=3.0))
+def test_the_penalty_spreads_them(view: StereoView, monkeypatch: pytest.MonkeyPatch) -> None:
+    spread = select_fiducials(view, [], 12)
+    monkeypatch.setattr(selection, "_SPREAD_WEIGHT", 0.0)
+    loose = select_fiducials(view, [], 12)
     nearest = [np.sort(distances(p))[:6].mean() for p in (loose, spread)]
     assert nearest[1] > 1.3 * nearest[0]
 
@@ -162,8 +168,7 @@ def test_fewer_are_chosen_where_there_is_little_to_see() -> None:
     image = plane.expose(plane.light(START))
     alone = StereoView(0, image, flat, SENSOR)  # texture without range
     assert len(select_fiducials(alone, [], 10)) == 0
-    anyhow = FiducialSelectionConfig(needs_range=False)
-    assert len(select_fiducials(alone, [], 10, config=anyhow)) == 10
+    assert len(select_fiducials(plane.view(START), [], 10)) == 10
 
 
 def test_a_certain_part_of_the_map_is_preferred(view: StereoView) -> None:
@@ -173,7 +178,7 @@ def test_a_certain_part_of_the_map_is_preferred(view: StereoView) -> None:
     points[:, 160:] = np.nan
     for _ in range(6):
         voxel_map.integrate(points, START, camera=view.camera)
-    weights = FiducialSelectionConfig(certainty_weight=10.0, spread_weight=0.1)
+    weights = FiducialSelectionConfig(certainty_weight=50.0)
     known = select_fiducials(view, [], 20, voxel_map, START, weights)
     assert (known[:, 0] < 165).mean() > 0.8
     with pytest.raises(InvalidInputError, match="T_map_camera"):
@@ -187,5 +192,3 @@ def test_dense_range_is_only_asked_for_when_wanted() -> None:
     assert not sparse.has_cloud
     select_fiducials(sparse, [], 5, config=FiducialSelectionConfig(dense_range=True))
     assert sparse.has_cloud
-    with pytest.raises(ConfigError, match="largest_window"):
-        FiducialSelectionConfig(largest_window=10)

@@ -13,7 +13,7 @@ from infomap_ros.localization.fiducials.patch_alignment import (
 )
 from infomap_ros.localization.fiducials.range_view import StereoView
 from infomap_ros.localization.fiducials.selection import select_fiducials
-from infomap_ros.localization.fiducials.tracker import FiducialTracker, FiducialTrackerConfig
+from infomap_ros.localization.fiducials.tracker import FiducialTracker
 from test.localization.textured_plane import SENSOR, TexturedPlane, camera_at
 
 START = camera_at([0.0, 0.0, 0.0])
@@ -34,7 +34,7 @@ def chosen(plane: TexturedPlane, count: int = 40) -> tuple[FiducialTracker, np.n
     return tracker, pixels
 
 
-def way(steps: int) -> list[np.ndarray]:
+def trajectory(steps: int) -> list[np.ndarray]:
     return [
         camera_at([0.012 * k, 0.004 * k, 0.02 * k], [0.004 * k, -0.006 * k, 0.005 * k])
         for k in range(1, steps + 1)
@@ -44,7 +44,7 @@ def way(steps: int) -> list[np.ndarray]:
 def test_pixels_stay_on_their_points_within_the_stated_sigma(plane: TexturedPlane) -> None:
     tracker, pixels = chosen(plane)
     errors, sigmas, ranges = [], [], []
-    for k, pose in enumerate(way(12)):
+    for k, pose in enumerate(trajectory(12)):
         seen = tracker.track(plane.view(pose, k + 1))
         expected = plane.moved(START, pose, pixels[seen.ids])
         errors.append(seen.pixels - expected)
@@ -66,7 +66,7 @@ def test_a_step_of_the_light_does_not_matter(
     plane: TexturedPlane, gain: float, offset: float
 ) -> None:
     tracker, pixels = chosen(plane)
-    pose = way(1)[0]
+    pose = trajectory(1)[0]
     seen = tracker.track(plane.view(pose, 1, gain, offset))
     error = np.linalg.norm(seen.pixels - plane.moved(START, pose, pixels[seen.ids]), axis=1)
     assert len(seen) > 0.85 * len(pixels)
@@ -75,7 +75,7 @@ def test_a_step_of_the_light_does_not_matter(
 
 def test_tracks_outlive_blurred_images(plane: TexturedPlane) -> None:
     tracker, pixels = chosen(plane)
-    first, second, third = way(3)
+    first, second, third = trajectory(3)
     blurred = tracker.track(plane.view(first, 1, blur=2.5))
     again = tracker.track(plane.view(second, 2, blur=2.5))
     seen = tracker.track(plane.view(third, 3))
@@ -110,7 +110,7 @@ def test_a_fiducial_that_is_covered_is_not_seen_and_then_given_up(plane: Texture
     tracker, pixels = chosen(plane)
     hidden = np.flatnonzero(pixels[:, 0] < 160)
     rng = np.random.default_rng(4)
-    for k, pose in enumerate(way(7)):
+    for k, pose in enumerate(trajectory(7)):
         view = plane.view(pose, k)
         image = view.image.copy()
         image[:, :190] = rng.integers(60, 180, (240, 190))
@@ -188,7 +188,7 @@ def test_a_restored_tracker_recalls_what_the_saved_one_knew(plane: TexturedPlane
     assert len(found) > 0.9 * len(pixels)
     assert np.allclose(found.pixels, pixels[found.ids], atol=0.3)
     with pytest.raises(InvalidInputError, match="templates"):
-        FiducialTracker.from_state(tracker.state(), FiducialTrackerConfig(template=17))
+        FiducialTracker.from_state(tracker.state() | {"templates": np.zeros((len(pixels), 29, 29))})
     with pytest.raises(InvalidInputError, match="warps"):
         FiducialTracker.from_state({k: v for k, v in tracker.state().items() if k != "warps"})
 
@@ -248,7 +248,7 @@ def test_alignment_recovers_a_known_warp_and_its_sigma_is_that_of_noise(
 def test_flow_alone_would_creep_where_templates_do_not(plane: TexturedPlane) -> None:
     """The sum of the steps between images wanders, the pixels do not: their steps cancel."""
     tracker, _ = chosen(plane)
-    there_and_back = way(4) + way(3)[::-1] + [START]
+    there_and_back = trajectory(4) + trajectory(3)[::-1] + [START]
     places = [dict(zip(tracker.ids.tolist(), tracker.pixels, strict=True))]
     for k, pose in enumerate(there_and_back):
         seen = tracker.track(plane.view(pose, k + 1))

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from scipy.spatial.transform import Rotation
 
 from infomap_ros.geometry import make_transform
 from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.localization.target import model_target
 from infomap_ros.localization.target.config import ModelTargetConfig
 from infomap_ros.localization.target.model_check import Evidence, PoseComparison
 from infomap_ros.localization.target.model_scene import shape_from_triangles
@@ -52,10 +54,13 @@ def test_a_knob_out_of_sight_tells_nothing(rng: np.random.Generator) -> None:
     assert Evidence(0, 0).against_share == 1.0
 
 
-def test_a_box_with_a_speck_is_refused_as_ambiguous(rng: np.random.Generator) -> None:
+def test_a_box_with_a_speck_is_refused_as_ambiguous(
+    rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
     triangles = knobbed_box(0.008)
-    config = ModelTargetConfig(distinction=0.0, max_flat=1.0)
-    detector = ModelTargetDetector(config, shape_from_triangles(triangles))
+    monkeypatch.setattr(model_target, "_DISTINCTION", 0.0)
+    monkeypatch.setattr(model_target, "_MAX_FLAT", 1.0)
+    detector = ModelTargetDetector(ModelTargetConfig(), shape_from_triangles(triangles))
     pose = make_transform(ABOVE, (0.0, 0.0, 0.8))
     result = detector.detect(CloudView(range_map(triangles, pose, rng, clutter=0)))
     assert isinstance(result, TargetRefusal)

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry import invert_transform, make_transform, perturb_transform
 from infomap_ros.localization.dead_reckoning import DeadReckoningConfig
-from infomap_ros.localization.filter.free_motion import FreeMotionConfig, free_motion
+from infomap_ros.localization.filter.free_motion import free_motion
 from infomap_ros.localization.filter.motion_prior import KinematicMotion, MotionPrior, RobotPosture
 from test.localization.fiducial_scene import pose_error
 
@@ -45,13 +45,10 @@ def test_motions_add_up_as_samples_do() -> None:
 
 
 def test_free_motion_grows_with_time_and_stays_bounded() -> None:
-    config = FreeMotionConfig(speed=0.5, turn_rate=1.0, longest=2.0)
     np.testing.assert_allclose(
-        np.sqrt(np.diag(free_motion(0.1, config).covariance)), [0.05] * 3 + [0.1] * 3
+        np.sqrt(np.diag(free_motion(0.1).covariance)), [0.07] * 3 + [0.1] * 3
     )
-    np.testing.assert_array_equal(
-        free_motion(2.0, config).covariance, free_motion(99.0, config).covariance
-    )
+    np.testing.assert_array_equal(free_motion(3.0).covariance, free_motion(99.0).covariance)
 
 
 @pytest.mark.parametrize("duration", [-0.1, np.nan])
@@ -84,8 +81,10 @@ def test_kinematic_covariance_is_that_of_sampled_errors() -> None:
     before = RobotPosture(some_pose(rng, 2.0), some_pose(rng, 0.8))
     after = RobotPosture(before.T_odom_base @ base_motion, some_pose(rng, 0.8))
     prior = KinematicMotion(config).between(before, after)
-    way = np.linalg.norm(base_motion[:3, 3])
-    sigmas = np.sqrt([0.03**2 * way + 0.04**2 * 0.6] * 3 + [0.01**2 * way + 0.02**2 * 0.6] * 3)
+    distance = np.linalg.norm(base_motion[:3, 3])
+    sigmas = np.sqrt(
+        [0.03**2 * distance + 0.04**2 * 0.6] * 3 + [0.01**2 * distance + 0.02**2 * 0.6] * 3
+    )
     ends = np.repeat([0.004, 0.005], 3)
     errors = []
     for _ in range(4000):

@@ -15,10 +15,10 @@ from infomap_ros.localization.filter.pose_hypothesis import Expectation
 from .fiducial_scene import CAMERA, observe
 
 
-def random_pose(rng: np.random.Generator, way: float, turn: float) -> np.ndarray:
+def random_pose(rng: np.random.Generator, distance: float, turn: float) -> np.ndarray:
     """A pose, shape (4, 4), about so far from the identity."""
     rotation = Rotation.from_rotvec(rng.normal(size=3) * turn).as_matrix()
-    return make_transform(rotation, rng.normal(size=3) * way)
+    return make_transform(rotation, rng.normal(size=3) * distance)
 
 
 @pytest.mark.parametrize("turn", [0.01, 0.3, 1.0])

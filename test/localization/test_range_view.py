@@ -6,11 +6,10 @@ import cv2
 import numpy as np
 import pytest
 
-from infomap_ros.errors import CalibrationError, ConfigError, InvalidInputError
+from infomap_ros.errors import CalibrationError, InvalidInputError
 from infomap_ros.geometry import PinholeCamera, StereoRig
 from infomap_ros.localization.fiducials.range_view import DepthView, StereoView
 from infomap_ros.localization.fiducials.sparse_stereo import (
-    SparseStereoConfig,
     correlate,
     match_pixels,
 )
@@ -138,8 +137,6 @@ def test_views_refuse_images_and_pixels_that_do_not_fit() -> None:
         StereoView(0, image, image.astype(float), SENSOR)
     with pytest.raises(InvalidInputError, match="pixels"):
         StereoView(0, image, image, SENSOR).inverse_depths([[1.0, 2.0, 3.0]])
-    with pytest.raises(ConfigError, match="window"):
-        SparseStereoConfig(window=10)
 
 
 def test_depth_view_is_exact_on_a_plane_between_pixels() -> None:
@@ -162,9 +159,7 @@ def test_depth_view_is_exact_on_a_plane_between_pixels() -> None:
 def test_sigma_of_a_depth_view_is_that_of_repeated_measurements(
     rng: np.random.Generator,
 ) -> None:
-    config = DepthCameraConfig(
-        sigma_base=0.01, sigma_quadratic=0.0, sigma_grazing=0.0, error_correlation=0.0
-    )
+    config = DepthCameraConfig(sigma_base=0.01, sigma_quadratic=0.0, error_correlation=0.0)
     sensor = DepthCameraSensor(CAMERA, config)
     image = np.zeros((240, 320), np.uint8)
     pixels = grid(20)
@@ -183,7 +178,7 @@ def test_sigma_holds_on_the_real_motorcycle(real_data: Path) -> None:
     window, truth = np.ones((13, 13), np.uint8), np.nan_to_num(pair.truth, nan=-100.0)
     smooth = (cv2.dilate(truth, window) - cv2.erode(truth, window) < 6.0).astype(np.uint8)
     corners = cv2.goodFeaturesToTrack(left, 400, 0.005, 8, mask=smooth)[:, 0].astype(float)
-    disparity, sigma = match_pixels(left, right, corners, (-40, 230), SparseStereoConfig())
+    disparity, sigma = match_pixels(left, right, corners, (-40, 230))
     around = [pair.truth[v - 2 : v + 3, u - 2 : u + 3] for u, v in corners.astype(int)]
     errors = disparity - np.array([window.mean() for window in around])
     right_ones = np.abs(errors) < 3.0

@@ -77,9 +77,13 @@ def test_the_error_of_the_first_pose_is_the_offset_of_all():
     walk = Walk(1, START)
     walk.go(12)
 
-    way = walk.filter.pose[0][:3, 3] - CIRCLE[0][:3, 3]
+    offset = walk.filter.pose[0][:3, 3] - CIRCLE[0][:3, 3]
     over = np.eye(6)
-    over[:3, 3:] = [[0, way[2], -way[1]], [-way[2], 0, way[0]], [way[1], -way[0], 0]]
+    over[:3, 3:] = [
+        [0, offset[2], -offset[1]],
+        [-offset[2], 0, offset[0]],
+        [offset[1], -offset[0], 0],
+    ]
     np.testing.assert_allclose(walk.parts[-1].offset, over @ START @ over.T, rtol=0.05, atol=5e-6)
     np.testing.assert_allclose(walk.parts[0].offset, START, rtol=1e-9, atol=1e-12)
 
@@ -147,8 +151,8 @@ def displacements(walk: Walk, number: int, place: int) -> FloatArray:
     Its square is the mean square displacement of points at `RANGE`.
     """
     error = walk.errors[number]
-    way = CIRCLE[place][:3, 3] - CIRCLE[number][:3, 3]
-    shift = np.concatenate([error[:3] + np.cross(error[3:], way), RANGE * error[3:]])
+    offset = CIRCLE[place][:3, 3] - CIRCLE[number][:3, 3]
+    shift = np.concatenate([error[:3] + np.cross(error[3:], offset), RANGE * error[3:]])
     return np.asarray(shift / math.sqrt(mean_square(walk.parts[number].covariance)))
 
 

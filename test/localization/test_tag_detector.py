@@ -13,9 +13,9 @@ from infomap_ros.geometry import (
     transform_points,
 )
 from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.localization.target import tag_detection
 from infomap_ros.localization.target.tag_board import TagBoard, TagBoardConfig
 from infomap_ros.localization.target.tag_detection import (
-    TagDetectionConfig,
     TagFinder,
     Tags,
     refine_corners,
@@ -34,17 +34,17 @@ from infomap_ros.stereo import RangeCloud
 from .tag_scenes import CAMERA, BoardView, draw_view, pose_error, seen_from, single_tag
 
 BOARD = TagBoard()
-PERFECT_PRINT = TagDetectionConfig(sigma_floor=0.03)
 
 
-def perfect(board: TagBoard) -> TagTargetDetector:
-    return TagTargetDetector(TagTargetConfig(board=board.config, detection=PERFECT_PRINT))
+@pytest.fixture
+def _perfect_print(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tag_detection, "_SIGMA_FLOOR", 0.03)
 
 
 class Scattered:
     """Tags with corners that scatter as the configuration says, and no image."""
 
-    stamp, camera, has_cloud = 0, CAMERA, False
+    stamp, camera, has_cloud, tags = 0, CAMERA, False, None
     image = np.zeros((480, 640), np.uint8)
 
     def __init__(self, board: TagBoard, pose: FloatArray, sigma: float, rng: np.random.Generator):
@@ -66,12 +66,13 @@ def nees(sighting: TargetSighting, truth: FloatArray) -> float:
     return float(error @ np.linalg.solve(sighting.covariance, error))
 
 
+@pytest.mark.usefixtures("_perfect_print")
 @pytest.mark.parametrize(("distance", "tilt"), [(0.9, 0.2), (1.8, 0.9), (2.6, 0.5)])
 def test_corners_are_measured_to_a_tenth_of_a_pixel(
     distance: float, tilt: float, rng: np.random.Generator
 ) -> None:
     pose = seen_from(BOARD, distance, tilt, rng)
-    tags = TagFinder("tag36h11", PERFECT_PRINT).find(draw_view(BOARD, pose, rng))
+    tags = TagFinder("tag36h11").find(draw_view(BOARD, pose, rng))
     assert sorted(tags.ids) == list(BOARD.ids)
     truth = CAMERA.project(transform_points(pose, BOARD.corners[tags.ids]))
     assert np.abs(tags.corners - truth).max() < 0.15
@@ -121,8 +122,9 @@ def test_no_fit_begins_with_points_behind_the_camera() -> None:
         assert fit_pose(CAMERA, known, no_ranges(), behind) is None
 
 
+@pytest.mark.usefixtures("_perfect_print")
 def test_rendered_boards_are_found_within_their_covariance(rng: np.random.Generator) -> None:
-    detector, values = perfect(BOARD), []
+    detector, values = TagTargetDetector(), []
     for distance, tilt in ((0.8, 0.1), (1.5, 0.0), (1.5, 0.8), (2.4, 0.3), (2.4, 0.7)):
         pose = seen_from(BOARD, distance, tilt, rng)
         sighting = detector.detect(BoardView(BOARD, pose, rng))

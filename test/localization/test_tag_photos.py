@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from infomap_ros.geometry import PinholeCamera, make_transform
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.localization.target.tag_board import TagBoardConfig
-from infomap_ros.localization.target.tag_detection import TagDetectionConfig, TagFinder
+from infomap_ros.localization.target.tag_detection import TagFinder
 from infomap_ros.localization.target.tag_detector import TagTargetConfig, TagTargetDetector
 from infomap_ros.localization.target.target import TargetRefusal, TargetSighting
 from infomap_ros.stereo import RangeCloud
@@ -30,7 +30,7 @@ T_VISP_TAG = np.diag([-1.0, -1.0, 1.0, 1.0])
 class Photo:
     """An image without range."""
 
-    stamp, has_cloud = 0, False
+    stamp, has_cloud, tags = 0, False, None
 
     def __init__(self, image: NDArray[np.uint8], camera: PinholeCamera) -> None:
         self.image, self.camera = image, camera
@@ -123,7 +123,7 @@ def test_poses_in_a_sheet_drawn_by_another_program(real_data: Path, tag: int, si
 
 @pytest.mark.parametrize("family", ["tag36h11", "tag25h9", "tag16h5", "aruco4x4_50"])
 def test_images_without_tags_hold_none(real_data: Path, family: str) -> None:
-    finder = TagFinder(family, TagDetectionConfig())
+    finder = TagFinder(family)
     images = [
         real_data / "stereo_motorcycle" / "motorcycle_left.png",
         real_data / "stereo_opencv_samples" / "aloeL.jpg",

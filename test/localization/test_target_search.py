@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 from infomap_ros.errors import ConfigError, InvalidInputError
 from infomap_ros.geometry import PinholeCamera, make_transform
 from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.localization.target import search as search_module
 from infomap_ros.localization.target.search import TargetSearch, TargetSearchConfig
 
 CAMERA = PinholeCamera(640, 480, 400.0, 400.0, 319.5, 239.5)
@@ -27,9 +28,11 @@ def sees(rotation: FloatArray, direction: FloatArray, margin: float) -> bool:
     return across <= u <= 639.0 - across and down <= v <= 479.0 - down
 
 
-def test_the_proposed_looks_find_a_target_wherever_it_is(rng: np.random.Generator) -> None:
-    config = TargetSearchConfig(lowest=-0.6, highest=0.3, min_utility_ratio=0.0)
-    search = TargetSearch(CAMERA, config)
+def test_the_proposed_looks_find_a_target_wherever_it_is(
+    rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(search_module, "_LEAST_GAIN", 0.0)
+    search = TargetSearch(CAMERA, TargetSearchConfig(lowest=-0.6, highest=0.3))
     looks = [look.rotation for look in search.proposals(AHEAD, count=100)]
     missed = 0
     for _ in range(500):

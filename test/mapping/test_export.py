@@ -7,13 +7,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import yaml
+from scipy.ndimage import binary_dilation, convolve
+from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from infomap_ros.errors import ConfigError, InvalidInputError
 from infomap_ros.mapping import LOG_ODDS_QUANTUM, VoxelMap, VoxelMapConfig
 from infomap_ros.mapping.files.export import (
+    DistanceConfig,
     ProjectionConfig,
     height_colors,
+    obstacle_distances,
     project_map,
     surface_sigmas,
     write_distances,
@@ -21,7 +25,9 @@ from infomap_ros.mapping.files.export import (
     write_ply,
     write_stl,
 )
-from infomap_ros.mapping.voxels.state import put_states, unknown_states
+from infomap_ros.mapping.voxels.state import information_of, put_states, unknown_states
+
+from .test_distance_field import distance_to_cubes
 
 
 @pytest.fixture(scope="module")
@@ -266,3 +272,116 @@ def test_distances_of_an_empty_map_are_refused(tmp_path):
     with pytest.raises(InvalidInputError, match="is empty"):
         write_distances(VoxelMap(), tmp_path / "a.npz")
     assert list(tmp_path.iterdir()) == []
+
+
+def within_two(places: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """Which voxels have one of others no farther than two along each axis."""
+    return cKDTree(others).query(places, p=np.inf)[0] < 2.5
+
+
+def random_map(rng: np.random.Generator) -> tuple[VoxelMap, np.ndarray, np.ndarray, np.ndarray]:
+    """A map of 0.1 m with unknown space within and around it.
+
+    Returns:
+        It, what is occupied and what is known of a larger box, and the box's first voxel.
+    """
+    first, shape = np.array((-17, -9, -16)), (46, 44, 38)
+    observed, occupied = np.zeros((2, *shape), bool)
+    observed[10:34, 12:32, 11:25] = True
+    observed[18:25, 15:24, 14:22] = False  # unknown space with known space all around
+    occupied[observed] = rng.random(np.count_nonzero(observed)) < 0.01
+    places = np.argwhere(observed)
+    odds = np.where(occupied[observed], 6.0, -4.0)
+    voxels = (tuple(index) for index in (places + first).tolist())
+    voxel_map = column_map(dict(zip(voxels, odds.tolist(), strict=True)))
+    free, cube = observed & ~occupied, np.ones((3, 3, 3))
+    mostly_free = convolve(free.astype(int), cube.astype(int), mode="constant") >= 13
+    free |= ~observed & mostly_free & ~binary_dilation(occupied, cube)  # holes
+    known = occupied | free
+    unknown = np.argwhere(~known)
+    nearby = [within_two(unknown, np.argwhere(kind)) for kind in (occupied, free)]
+    known[tuple(unknown[nearby[0] & nearby[1]].T)] = True  # before a surface scans leave gaps
+    return voxel_map, occupied, known, first
+
+
+@pytest.mark.parametrize("unknown_is_free", [True, False])
+@pytest.mark.parametrize("band", [None, ProjectionConfig(low=-0.5, high=0.1)])
+def test_distances_to_obstacles_are_those_of_scipy(rng, band, unknown_is_free):
+    voxel_map, occupied, known, first = random_map(rng)
+    config = DistanceConfig(limit=0.45, unknown_is_free=unknown_is_free)
+    blocked = occupied if unknown_is_free else occupied | ~known
+    if band is not None:  # voxels -5 to 0 have their centers in it
+        occupied, known = (a[..., 11:17].any(axis=2, keepdims=True) for a in (occupied, known))
+        blocked = occupied if unknown_is_free else occupied | ~known
+    distances = np.minimum(0.1 * distance_to_cubes(blocked), 0.45)
+    rows = obstacle_distances(voxel_map, config, band)
+    assert rows.dtype == np.float32
+    places = np.rint(rows[:, :3] / 0.1 - 0.5 - first).astype(int)
+    if band is not None:
+        np.testing.assert_allclose(rows[:, 2], -0.2, atol=1e-6)
+        places[:, 2] = 0
+    np.testing.assert_allclose(
+        rows[:, :2], (places[:, :2] + first[:2] + 0.5) * 0.1, atol=1e-5, err_msg="centers"
+    )
+    np.testing.assert_array_equal(np.argwhere(known), places)
+    np.testing.assert_allclose(rows[:, 3], distances[known], atol=1e-5)
+    assert {0.0, np.float32(0.45)} <= set(rows[:, 3]) or not unknown_is_free
+
+
+def test_a_margin_of_sigmas_is_along_the_normal_and_no_wider_than_a_voxel_more(rng):
+    indices = np.argwhere(np.ones((16, 16, 16), bool)).astype(np.int32)
+    solid = np.flatnonzero((indices == (8, 8, 8)).all(1) | (indices == (3, 12, 5)).all(1))
+    (normal, *sides) = Rotation.random(random_state=1).as_matrix().T  # of the first; no other has
+    flat = 0.04**2 * np.outer(normal, normal) + sum(0.06**2 * np.outer(s, s) for s in sides)
+    covariances = np.zeros((len(indices), 3, 3))
+    covariances[solid] = flat, 0.05**2 * np.eye(3)
+    means = (indices + rng.uniform(0.1, 0.9, indices.shape)) * 0.1
+    voxel_map, is_solid = VoxelMap(VoxelMapConfig(voxel_size=0.1)), np.zeros(len(indices), bool)
+    is_solid[solid] = True
+    states = unknown_states(indices)._replace(
+        known=np.ones(len(indices), bool),
+        quanta=np.where(is_solid, 30, -20).astype(np.int32),
+        information=information_of(indices, is_solid, means, covariances, 0.1),
+    )
+    put_states(voxel_map._storage, states)
+    ball = rng.normal(size=(3000, 3))
+    ball /= np.linalg.norm(ball, axis=1)[:, None]
+    line = np.linspace(-1.0, 1.0, 101)[:, None] * normal
+    for margin in (0.0, 1.0, 3.0):
+        rows = obstacle_distances(voxel_map, DistanceConfig(margin=margin, limit=9.0))
+        within = [means[solid[0]] + 0.04 * margin * line, means[solid[1]] + 0.05 * margin * ball]
+        nearest = cKDTree(np.concatenate(within)).query(rows[:, :3])[0]
+        assert (rows[:, 3] <= nearest + 1e-6).all()
+        gaps = [
+            np.maximum(points.min(axis=0) - rows[:, :3], rows[:, :3] - points.max(axis=0)) - 0.1
+            for points in within
+        ]
+        least = np.linalg.norm(np.maximum(gaps, 0.0), axis=2).min(axis=0)
+        assert (rows[:, 3] >= least - 2e-3).all()  # points of the ball are not everywhere
+        np.testing.assert_allclose(nearest[rows[:, 3] == 0.0], 0.0, atol=0.1 * np.sqrt(3.0))
+
+
+def test_distances_of_a_map_that_reaches_too_far_are_refused():
+    voxel_map = column_map({(0, 0, 0): 6.0, (800, 800, 800): 6.0})
+    with pytest.raises(InvalidInputError, match="is too large"):
+        obstacle_distances(voxel_map)
+    rows = obstacle_distances(voxel_map, band=ProjectionConfig(low=0.0, high=0.2))
+    np.testing.assert_allclose(rows, [[0.05, 0.05, 0.1, 0.0]], atol=1e-6)
+
+
+def test_distances_follow_the_map(rng):
+    voxel_map, occupied, _, first = random_map(rng)
+    empty = VoxelMap(voxel_map.config)
+    assert obstacle_distances(empty).shape == (0, 4)
+    assert obstacle_distances(voxel_map, band=ProjectionConfig(low=50.0, high=51.0)).shape == (0, 4)
+    before = obstacle_distances(voxel_map)
+    gone = (np.argwhere(occupied) + first).astype(np.int32)
+    put_states(
+        voxel_map._storage,
+        unknown_states(gone)._replace(
+            known=np.ones(len(gone), bool), quanta=np.full(len(gone), -20, np.int32)
+        ),
+    )
+    after = obstacle_distances(voxel_map)
+    assert (before[:, 3] == 0.0).sum() == len(gone)
+    assert (after[:, 3] == np.float32(DistanceConfig().limit)).all()

@@ -251,8 +251,10 @@ def test_a_table_top_seen_edge_on_is_not_seen_through():
     voxel_map = VoxelMap(VoxelMapConfig(voxel_size=size, max_range=5.0))
     rays = camera.back_project(np.ones((240, 320)))
     for position in np.random.default_rng(7).uniform([-0.3, -0.08, 0.0], [0.3, 0.08, 0.5], (20, 3)):
-        ways = np.sort(np.stack([low - position, high - position])[:, None, None] / rays, axis=0)
-        is_hit = ways[0].max(axis=-1) < ways[1].min(axis=-1)
+        crossings = np.sort(
+            np.stack([low - position, high - position])[:, None, None] / rays, axis=0
+        )
+        is_hit = crossings[0].max(axis=-1) < crossings[1].min(axis=-1)
         depth = np.full(is_hit.shape, 4.0 - position[2])
         depth[ndimage.binary_dilation(is_hit, np.ones((5, 5)))] = np.nan
         voxel_map.integrate(

@@ -23,14 +23,14 @@ def covariance(rng: np.random.Generator, size: float) -> np.ndarray:
 def test_a_scan_of_a_keyframe_is_known_as_that(rng: np.random.Generator) -> None:
     then, now = (np.stack([covariance(rng, s)] * 3) for s in (0.1, 0.01))
     known = KeyframeCovariances()
-    known.hear(30, STAMPS, POSES, then)
-    known.hear(40, STAMPS, POSES, now)
+    known.receive_poses(30, STAMPS, POSES, then)
+    known.receive_poses(40, STAMPS, POSES, now)
     assert_allclose(known.of_scan(20, POSES[1], then[1]), now[1], atol=1e-12)
 
 
-def test_what_the_way_from_the_keyframe_adds_stays(rng: np.random.Generator) -> None:
+def test_what_the_motion_from_the_keyframe_adds_stays(rng: np.random.Generator) -> None:
     then, now = (np.stack([covariance(rng, s)] * 3) for s in (0.1, 0.01))
-    way, scan = covariance(rng, 0.005), POSES[1].copy()
+    added, scan = covariance(rng, 0.005), POSES[1].copy()
     scan[:3, 3] += (0.4, -0.2, 0.1)
     errors = rng.multivariate_normal(np.zeros(6), now[1], 200_000)
     short = 1e-3 * errors  # first order: many small errors of the keyframe, seen at the scan
@@ -40,17 +40,17 @@ def test_what_the_way_from_the_keyframe_adds_stays(rng: np.random.Generator) -> 
     lever = np.linalg.lstsq(short[:400], shifts, rcond=None)[0].T
     over = np.vstack([lever, np.eye(6)[3:]])
     known = KeyframeCovariances()
-    known.hear(30, STAMPS, POSES, then)
-    known.hear(40, STAMPS, POSES, now)
-    found = known.of_scan(25, scan, over @ then[1] @ over.T + way)
-    assert_allclose(found, over @ now[1] @ over.T + way, rtol=2e-3, atol=1e-6)
+    known.receive_poses(30, STAMPS, POSES, then)
+    known.receive_poses(40, STAMPS, POSES, now)
+    found = known.of_scan(25, scan, over @ then[1] @ over.T + added)
+    assert_allclose(found, over @ now[1] @ over.T + added, rtol=2e-3, atol=1e-6)
 
 
 def test_a_scan_before_all_keyframes_hangs_on_the_first(rng: np.random.Generator) -> None:
     then = np.stack([covariance(rng, 0.1) for _ in range(3)])
     known = KeyframeCovariances()
-    known.hear(30, STAMPS, POSES, then)
-    known.hear(40, STAMPS, POSES, 0.01 * then)
+    known.receive_poses(30, STAMPS, POSES, then)
+    known.receive_poses(40, STAMPS, POSES, 0.01 * then)
     assert_allclose(known.of_scan(5, POSES[0], then[0]), 0.01 * then[0], atol=1e-12)
 
 
@@ -59,16 +59,16 @@ def test_without_news_or_without_a_covariance_it_stays_as_it_was(
 ) -> None:
     known = KeyframeCovariances()
     assert known.of_scan(5, POSES[0], np.eye(6)) is None
-    known.hear(30, STAMPS, POSES, np.stack([covariance(rng, 0.1)] * 3))
+    known.receive_poses(30, STAMPS, POSES, np.stack([covariance(rng, 0.1)] * 3))
     assert known.of_scan(10, POSES[0], None) is None
 
 
 def test_a_covariance_that_is_none_is_refused() -> None:
     known = KeyframeCovariances()
     with pytest.raises(InvalidInputError, match="covariance of a keyframe"):
-        known.hear(30, STAMPS, POSES, np.stack([-np.eye(6)] * 3))
+        known.receive_poses(30, STAMPS, POSES, np.stack([-np.eye(6)] * 3))
     with pytest.raises(InvalidInputError, match="keyframe covariances"):
-        known.hear(30, STAMPS, POSES, np.stack([np.eye(6)] * 2))
+        known.receive_poses(30, STAMPS, POSES, np.stack([np.eye(6)] * 2))
 
 
 def test_a_map_that_is_corrected_is_as_sure_as_its_keyframes() -> None:
@@ -78,8 +78,8 @@ def test_a_map_that_is_corrected_is_as_sure_as_its_keyframes() -> None:
     wrong = perturb_transform(np.eye(4), [0.2, 0.1, 0.3, 0.0, 0.0, 0.0])
     unsure, sure = 0.04 * np.eye(6), 0.0001 * np.eye(6)
     correctable.integrate(7, wall, wrong, pose_covariance=unsure, camera=camera)
-    correctable.hear(8, [7], [wrong], [unsure])
-    correctable.hear(9, [7], [np.eye(4)], [sure])
+    correctable.receive_poses(8, [7], [wrong], [unsure])
+    correctable.receive_poses(9, [7], [np.eye(4)], [sure])
     assert correctable.correct() is not None
     expected = VoxelMap(VoxelMapConfig(voxel_size=0.1))
     expected.integrate(wall, np.eye(4), None, sure, camera)

@@ -11,8 +11,16 @@ import pyoctomap
 import pytest
 
 from infomap_ros.errors import CapacityError, InvalidInputError, MapFileError
-from infomap_ros.mapping import VoxelMap, VoxelMapConfig
-from infomap_ros.mapping.files.octomap_file import read_octree, write_bt, write_ot
+from infomap_ros.mapping import FREE, OccupancyThresholds, VoxelMap, VoxelMapConfig
+from infomap_ros.mapping.files.octomap_file import (
+    OctomapLeaves,
+    binary_tree,
+    full_tree,
+    leaves_of_tree,
+    read_octree,
+    write_bt,
+    write_ot,
+)
 
 SIZE = 0.1
 
@@ -237,5 +245,114 @@ def test_a_damaged_ot_is_refused(tmp_path, rng):
         read_octree(tmp_path / "a.ot")
     start = whole.index(b"data\n") + 5
     (tmp_path / "a.ot").write_bytes(whole[:start] + b"\xff" * (len(whole) - start))
-    with pytest.raises(MapFileError, match=r"truncated|beside"):
+    with pytest.raises(MapFileError, match=r"truncated|beside|levels"):
         read_octree(tmp_path / "a.ot")
+
+
+def tree_data(path: Path) -> bytes:
+    """What a message holds of a file."""
+    return path.read_bytes().partition(b"\ndata\n")[2]
+
+
+def wall_map() -> VoxelMap:
+    """A wall that two scans saw, and the free space before it; the floor is unknown."""
+    voxel_map = VoxelMap(VoxelMapConfig(voxel_size=SIZE))
+    y, z = np.meshgrid(np.arange(-1.0, 1.0, 0.02), np.arange(-1.0, 1.0, 0.02))
+    for shift in (0.0, 0.2):
+        wall = np.stack([np.full(y.shape, 2.03 - shift), y, z], -1).reshape(-1, 3)
+        pose = np.eye(4)
+        pose[0, 3] = shift
+        voxel_map.integrate(wall, pose)
+    return voxel_map
+
+
+def test_a_map_comes_back_from_its_tree_with_every_probability() -> None:
+    known = wall_map()
+    tree = full_tree(known)
+    back = leaves_of_tree(tree.data, SIZE, binary=False).voxel_map(0.05, 1.0)
+    indices, log_odds = known.voxels()
+    centers = (indices + 0.5) * SIZE
+    assert back.known_voxels == known.known_voxels
+    np.testing.assert_allclose(back.probability(centers), known.probability(centers), rtol=1e-12)
+    assert len(np.unique(log_odds)) > 3
+    outside = centers + np.array((0.0, 0.0, 9.0))
+    assert not back.is_known(outside).any()
+
+
+def test_a_surface_may_be_anywhere_in_its_voxel() -> None:
+    known = wall_map()
+    leaves = leaves_of_tree(full_tree(known).data, SIZE, binary=False)
+    indices, means, covariances = leaves.voxel_map(0.12, 1.0).gaussians()
+    every, log_odds = known.voxels()
+    assert {tuple(i) for i in indices} == {tuple(i) for i in every[log_odds > 0.0]}
+    np.testing.assert_allclose(means, (indices + 0.5) * SIZE, atol=1e-6)
+    uniform = SIZE**2 / 12.0 * np.eye(3)
+    np.testing.assert_allclose(covariances, np.tile(uniform, (len(indices), 1, 1)), rtol=1e-5)
+
+
+@pytest.mark.parametrize("binary", [False, True])
+def test_what_octomap_has_clamped_is_free_and_occupied(tmp_path, binary) -> None:
+    """By its own sensor model and limits, -2 to 3.5: nothing there is below 0.05."""
+    tree, places = pyoctomap.OcTree(SIZE), (np.indices((20, 20, 20)).reshape(3, -1).T + 0.5) * SIZE
+    is_wall = places[:, 0] > 1.9
+    for _ in range(9):
+        for place, hit in zip(places, is_wall, strict=True):
+            tree.updateNode(place, bool(hit))
+    once = np.array([0.05, 0.05, 5.05])  # seen once, and then no more
+    tree.updateNode(once, False)
+    (tree.writeBinary if binary else tree.write)(str(tmp_path / "a"))
+    leaves = leaves_of_tree(tree_data(tmp_path / "a"), SIZE, binary=binary)
+    assert leaves.edges.max() >= 8
+    assert -2.001 <= leaves.log_odds.min() < leaves.log_odds.max() <= 3.512  # 0.1192 and 0.971
+    found = leaves.voxel_map(0.12, 1.0)
+    assert found.known_voxels == len(places) + 1
+    np.testing.assert_array_equal(found.probability(places) > 0.95, is_wall)
+    np.testing.assert_array_equal(found.probability(places) < 0.05, ~is_wall)
+    states = found.window((0.0, 0.0, 0.0), (1.85, 1.95, 1.95)).states(OccupancyThresholds())
+    assert (states == FREE).all()
+    assert binary or found.probability(once[None])[0] == pytest.approx(0.4, abs=0.03)
+    stricter = leaves.voxel_map(0.1, 1.0).probability(places[~is_wall])
+    np.testing.assert_allclose(stricter, 0.12, atol=0.001)
+
+
+def test_log_odds_are_those_of_octomap_within_half_a_quantum(tmp_path, rng) -> None:
+    tree, index = pyoctomap.OcTree(SIZE), rng.integers(-40, 40, size=(400, 3))
+    for _ in range(6):
+        for place, hit in zip((index + 0.5) * SIZE, rng.random(len(index)) < 0.6, strict=True):
+            tree.updateNode(place, bool(hit))
+    tree.write(str(tmp_path / "a.ot"))
+    found = leaves_of_tree(tree_data(tmp_path / "a.ot"), SIZE, binary=False).voxel_map(0.05, 1.0)
+    expected = [value_at(tree, i) for i in index]
+    np.testing.assert_allclose(found.log_odds((index + 0.5) * SIZE), expected, atol=0.1251)
+
+
+@pytest.mark.parametrize("write", [full_tree, binary_tree])
+def test_a_damaged_tree_is_refused(write) -> None:
+    data, binary = write(wall_map()).data, write is binary_tree
+    for odd, problem in (
+        (data[:-1], "truncated"),
+        (data[:-10], "truncated"),
+        (data + data[:10], "beside"),
+        (b"\xff" * len(data), "truncated|levels"),
+    ):
+        with pytest.raises(InvalidInputError, match=problem):
+            leaves_of_tree(odd, SIZE, binary=binary)
+    for size in (0.0, -0.1, np.nan, np.inf, 1e3):
+        with pytest.raises(InvalidInputError, match="voxels of"):
+            leaves_of_tree(data, size, binary=binary)
+    assert len(leaves_of_tree(b"", SIZE, binary=binary).edges) == 0
+
+
+def test_log_odds_that_are_not_finite_are_refused() -> None:
+    data = bytearray(full_tree(wall_map()).data)
+    data[-5:-1] = np.float32(np.nan).tobytes()  # of the last leaf
+    with pytest.raises(InvalidInputError, match="finite"):
+        leaves_of_tree(bytes(data), SIZE, binary=False)
+
+
+def test_a_tree_that_fits_nowhere_is_not_taken_apart() -> None:
+    with pytest.raises(CapacityError, match="281474976710656 voxels"):
+        leaves_of_tree(b"\xaa\xaa", SIZE, binary=True)
+    corner, edge, free = np.zeros((1, 3), np.int32), np.int32([256]), np.float32([-2.0])
+    with pytest.raises(CapacityError, match="limit"):
+        OctomapLeaves(SIZE, corner, edge, free).voxel_map(0.12, 0.001)

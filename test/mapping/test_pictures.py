@@ -6,7 +6,7 @@ import matplotlib
 import matplotlib.image
 import numpy as np
 import pytest
-from matplotlib.colors import Normalize
+from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
 
 from infomap_ros.errors import InvalidInputError
@@ -108,6 +108,17 @@ def floor_map(height: float) -> VoxelMap:
     return voxel_map
 
 
+def test_what_was_seen_less_often_is_drawn_all_the_same() -> None:
+    """A floor of which one end was in view far longer than the other."""
+    voxel_map, sensor = floor_map(0.0), np.array([3.5, -1.0, 3.0])
+    x, y = np.random.default_rng(2).uniform((3.0, -1.5), (4.0, 0.0), (20_000, 2)).T
+    points = np.column_stack([x, y, np.full_like(x, 0.025)])
+    before = _surface(voxel_map)
+    for _ in range(60):
+        voxel_map.integrate((points - sensor).astype(np.float32), make_transform(np.eye(3), sensor))
+    assert len(_surface(voxel_map).points) >= 0.99 * len(before.points) > 700
+
+
 def test_a_flat_surface_has_the_color_of_its_height() -> None:
     """What the color bar says: the colormap's own values, no shading."""
     image = map_from_above(floor_map(0.9))
@@ -148,6 +159,27 @@ def test_what_is_long_lies_one_below_the_other(tall: float, flat: float, rows: i
     _, axes = _sheet(tall, flat)
     tops = {round(one.get_position().y1, 3) for one in axes}
     assert len(tops) == rows
+
+
+@pytest.mark.parametrize(("tall", "flat"), [(1.6, 0.1), (0.3, 0.7)])
+def test_sigma_is_beside_the_view_that_shows_more(tall: float, flat: float) -> None:
+    _, (top, side, sigma) = _sheet(tall, flat)
+    beside, alone = (top, side) if tall > flat else (side, top)
+    assert sigma.get_position().y1 == pytest.approx(beside.get_position().y1)
+    assert alone.get_position().y1 < beside.get_position().y0
+
+
+@pytest.mark.parametrize("limits", [(18.1, 32.1), (2.0, 130.0), (0.03, 4000.0)])
+def test_the_scale_of_sigma_has_plain_numbers(limits: tuple[float, float]) -> None:
+    surface = _surface(floor_map(0.9))
+    axes = Figure().add_subplot()
+    view, scale = _View(0, 1, 2, 1, "top"), LogNorm(*limits)
+    _draw(axes, surface, view, 0.05, 1e3 * surface.sigmas, scale, "magma", "sigma [mm]")
+    bar = axes.figure.axes[1]
+    shown = [float(text.get_text()) for text in bar.get_yticklabels()]
+    assert 2 <= len(shown) <= 20
+    assert all(limits[0] <= value <= limits[1] for value in shown)
+    assert bar.get_yticks() == pytest.approx(shown)
 
 
 def test_picture_is_a_picture(tmp_path):

@@ -14,9 +14,9 @@ from infomap_ros.errors import CapacityError, InvalidInputError
 from infomap_ros.geometry import PinholeCamera, perturb_transform
 from infomap_ros.mapping import NOT_OBSERVED, VoxelMap, VoxelMapConfig
 from infomap_ros.mapping import NOT_OBSERVED as NOT_OBSERVED_ON_THE_WIRE
+from infomap_ros.mapping.correction import reintegration
 from infomap_ros.mapping.correction.reintegration import (
     Reintegration,
-    ReintegrationConfig,
     ReintegrationReport,
     corrections,
     moved_scans,
@@ -29,16 +29,22 @@ from test.mapping.scenes import Scene, look_at, random_scene
 from test.mapping.voxels import voxels_of
 
 
-def reintegrate(voxel_map, store, new_poses, config=None) -> ReintegrationReport:
+def every_moved(store, new_poses, voxel_map):
+    """As `moved_scans`, of which any correction is large enough."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(reintegration, "_MIN_CORRECTION", 0.0)
+        return moved_scans(store, new_poses, voxel_map)
+
+
+def reintegrate(voxel_map, store, new_poses, which=moved_scans) -> ReintegrationReport:
     """Move scans to new poses at once."""
-    moved = moved_scans(store, new_poses, voxel_map, config)
+    moved = which(store, new_poses, voxel_map)
     return Reintegration(voxel_map, store, moved).finish()
 
 
 CAMERA = PinholeCamera(64, 48, 50.0, 50.0, 31.5, 23.5)
 CONFIG = VoxelMapConfig(voxel_size=0.08, max_range=3.0)
 SIGMA = np.diag([1e-4] * 3 + [1e-5] * 3)
-ALWAYS = ReintegrationConfig(min_correction=0.0)
 
 
 class Trip:
@@ -77,7 +83,7 @@ def _trip(seed: int, count: int = 6, error: float = 0.1, first: int = 2, **store
 
 
 def _true_poses(trip: Trip) -> Mapping[int, tuple[np.ndarray, None]]:
-    return {stamp: (pose, None) for stamp, pose in enumerate(trip.true)}
+    return {(stamp, ""): (pose, None) for stamp, pose in enumerate(trip.true)}
 
 
 def _is_same(first: VoxelMap, second: VoxelMap) -> bool:
@@ -88,7 +94,7 @@ def _is_same(first: VoxelMap, second: VoxelMap) -> bool:
 @pytest.mark.parametrize("seed", range(6))
 def test_the_map_is_that_of_the_corrected_poses_to_the_bit(seed: int) -> None:
     trip = _trip(seed)
-    report = reintegrate(trip.map, trip.store, _true_poses(trip), ALWAYS)
+    report = reintegrate(trip.map, trip.store, _true_poses(trip), every_moved)
     expected = VoxelMap(CONFIG)
     for scan, pose in zip(trip.store, trip.true, strict=True):
         integrate_record(expected, scan.record, pose, scan.uncertainty)
@@ -103,7 +109,7 @@ def test_blocks_that_no_moved_scan_touches_are_left_alone() -> None:
     wrong = perturb_transform(ahead, rng.normal(0.0, 0.05, 6))
     scene = Scene([(1.0, 0.0, 0.0, 2.5), (1.0, 0.0, 0.0, -2.5)])
     trip = Trip(scene, [back, back, ahead], [back, back, wrong])
-    report = reintegrate(trip.map, trip.store, {2: (ahead, None)})
+    report = reintegrate(trip.map, trip.store, {(2, ""): (ahead, None)})
     assert report.scans_moved == report.scans_integrated == 1
     assert report.blocks_rebuilt < len(trip.map.state()["block_keys"])
     assert _is_same(trip.map, trip.made_anew())
@@ -121,7 +127,7 @@ def test_no_ghost_of_the_old_surface_stays() -> None:
         return int(np.count_nonzero(np.abs(means[:, 0] - 2.0) > 0.1))
 
     before = ghosts()
-    reintegrate(trip.map, trip.store, dict.fromkeys(range(3), (ahead, None)))
+    reintegrate(trip.map, trip.store, {(stamp, ""): (ahead, None) for stamp in range(3)})
     assert before > 100
     assert ghosts() == 0
 
@@ -139,14 +145,14 @@ def test_small_corrections_add_up_to_one_that_counts() -> None:
     for step in range(1, 5):
         pose = trip.used[0].copy()
         pose[0, 3] += 0.3 * step * 0.08
-        moved.append(reintegrate(trip.map, trip.store, {0: (pose, None)}).scans_moved)
+        moved.append(reintegrate(trip.map, trip.store, {(0, ""): (pose, None)}).scans_moved)
     assert moved == [0, 1, 0, 1]
 
 
 def test_a_new_covariance_comes_with_the_new_pose() -> None:
     trip = _trip(4)
-    better = {stamp: (pose, 0.01 * SIGMA) for stamp, pose in enumerate(trip.true)}
-    reintegrate(trip.map, trip.store, better, ALWAYS)
+    better = {(stamp, ""): (pose, 0.01 * SIGMA) for stamp, pose in enumerate(trip.true)}
+    reintegrate(trip.map, trip.store, better, every_moved)
     assert all(np.allclose(s.uncertainty.covariance, 0.01 * SIGMA) for s in list(trip.store)[2:])
     assert _is_same(trip.map, trip.made_anew())
 
@@ -205,7 +211,7 @@ def test_what_has_no_scans_stays_as_a_base() -> None:
     trip.store = ScanStore(CONFIG, base=loaded)
     for stamp in range(len(trip.true)):
         trip.scan(stamp)
-    reintegrate(trip.map, trip.store, _true_poses(trip), ALWAYS)
+    reintegrate(trip.map, trip.store, _true_poses(trip), every_moved)
     assert _is_same(trip.map, trip.made_anew(loaded))
 
 
@@ -213,7 +219,7 @@ def test_frozen_scans_stay_where_they_are() -> None:
     size = next(iter(_trip(9).store)).record.memory_bytes()
     trip = _trip(9, config=ScanStoreConfig(memory=4.5 * size * 1e-9))
     assert trip.store.frozen >= 1
-    reintegrate(trip.map, trip.store, _true_poses(trip), ALWAYS)
+    reintegrate(trip.map, trip.store, _true_poses(trip), every_moved)
     anew = trip.made_anew(trip.store.base)
     assert {i: v[0] for i, v in voxels_of(trip.map).items()} == {
         i: v[0] for i, v in voxels_of(anew).items()
@@ -226,7 +232,7 @@ def test_scans_may_be_added_while_the_map_is_corrected(seed: int) -> None:
     late = [trip.true.pop() for _ in range(3)]
     fresh = Trip(trip.scene, trip.true, trip.used[:5])
     work = Reintegration(
-        fresh.map, fresh.store, moved_scans(fresh.store, _true_poses(fresh), fresh.map, ALWAYS)
+        fresh.map, fresh.store, every_moved(fresh.store, _true_poses(fresh), fresh.map)
     )
     for number, pose in enumerate(late):
         work.step()
@@ -247,7 +253,7 @@ def test_a_correction_that_does_not_fit_into_memory_leaves_the_map_alone() -> No
     before = voxels_of(voxel_map)
     voxel_map.config = VoxelMapConfig(voxel_size=0.02, max_range=3.0, memory_limit=0.001)
     with pytest.raises(CapacityError):
-        reintegrate(voxel_map, store, _true_poses(trip), ALWAYS)
+        reintegrate(voxel_map, store, _true_poses(trip), every_moved)
     assert voxels_of(voxel_map) == before
     assert np.array_equal(list(store)[-1].transform, trip.used[-1])
 
@@ -255,15 +261,17 @@ def test_a_correction_that_does_not_fit_into_memory_leaves_the_map_alone() -> No
 def test_a_new_pose_that_is_none_is_refused() -> None:
     trip = _trip(12, count=3)
     with pytest.raises(InvalidInputError, match="new poses"):
-        reintegrate(trip.map, trip.store, {2: (np.ones((4, 4)), None)})
+        reintegrate(trip.map, trip.store, {(2, ""): (np.ones((4, 4)), None)})
 
 
 def test_a_corrected_map_can_be_saved_and_corrected_again(tmp_path) -> None:  # type: ignore[no-untyped-def]
     trip = _trip(13)
-    reintegrate(trip.map, trip.store, _true_poses(trip), ALWAYS)
+    reintegrate(trip.map, trip.store, _true_poses(trip), every_moved)
     trip.map.save(tmp_path / "map.infomap")
     assert _is_same(VoxelMap.load(tmp_path / "map.infomap"), trip.map)
-    reintegrate(trip.map, trip.store, {s: (p, None) for s, p in enumerate(trip.used)}, ALWAYS)
+    reintegrate(
+        trip.map, trip.store, {(s, ""): (p, None) for s, p in enumerate(trip.used)}, every_moved
+    )
     assert _is_same(trip.map, _trip(13).map)
 
 

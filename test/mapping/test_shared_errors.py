@@ -232,8 +232,8 @@ def test_scans_share_after_a_correction_what_they_shared_before():
     for stamp, known in enumerate(used):
         corrected.integrate(stamp, WALL, wrong, None, known, CAMERA)
     stamps, now = list(range(8)), along_z(0.02)
-    corrected.hear(10, stamps, [wrong] * 8, [known.covariance for known in used])
-    corrected.hear(11, stamps, [HERE] * 8, [now] * 8)
+    corrected.receive_poses(10, stamps, [wrong] * 8, [known.covariance for known in used])
+    corrected.receive_poses(11, stamps, [HERE] * 8, [now] * 8)
     assert corrected.correct() is not None
     expected = [pose(0.2 * k, 0.02 * np.sqrt(0.8), 0.02 * np.sqrt(0.2)) for k in range(8)]
     assert claimed(corrected.voxel_map) == pytest.approx(true_variance(expected), rel=0.01)

@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from infomap_ros.errors import ConfigError, InvalidInputError
+from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry import PinholeCamera
 from infomap_ros.mapping import FREE, OCCUPIED, UNKNOWN, VoxelMap, VoxelMapConfig
-from infomap_ros.mapping.terrain.terrain import Terrain, TerrainConfig, terrain_of
+from infomap_ros.mapping.terrain import terrain as module
+from infomap_ros.mapping.terrain.terrain import Terrain, terrain_of
 from infomap_ros.mapping.voxels.state import VoxelStates, information_of, put_states
 
 from .scenes import Scene, look_at
@@ -25,9 +26,12 @@ def columns(shape: tuple[int, int, int], ground: np.ndarray | int) -> np.ndarray
     return np.where(k <= top, OCCUPIED, FREE).astype(np.uint8) * np.ones(shape, np.uint8)
 
 
-def found(states: np.ndarray, near: tuple[float, float, float], **config: object) -> Terrain:
+def found(states: np.ndarray, near: tuple[float, float, float], **constants: object) -> Terrain:
     """Terrain of a voxel array whose corner is the origin, cut to it."""
-    terrain = terrain_of(map_of(states, (0, 0, 0), SIZE), TerrainConfig(**config), near)
+    with pytest.MonkeyPatch.context() as patch:
+        for name, value in constants.items():
+            patch.setattr(module, name, value)
+        terrain = terrain_of(map_of(states, (0, 0, 0), SIZE), near)
     i, j = terrain.cells_of((SIZE / 2, SIZE / 2))
     part = np.s_[i : i + states.shape[0], j : j + states.shape[1]]
     grids = {
@@ -56,7 +60,7 @@ def looked_at(scene: Scene, size: float) -> VoxelMap:
 def test_heights_of_a_slope_are_exact_within_their_sigma(size):
     """Errors far below the voxel's size: read off the Gaussians at the columns' middles."""
     normal = np.array([-0.2, 0.1, 1.0]) / np.linalg.norm([-0.2, 0.1, 1.0])
-    terrain = terrain_of(looked_at(Scene(planes=[(*normal, 0.03)]), size), None, (0, 0, 0.1))
+    terrain = terrain_of(looked_at(Scene(planes=[(*normal, 0.03)]), size), (0, 0, 0.1))
     cells = np.argwhere(np.isfinite(terrain.heights))
     middles = terrain.centers_of(cells)
     cells = cells[np.hypot(*middles.T) < 2.0]
@@ -112,7 +116,7 @@ def test_weak_hits_behind_a_ceiling_open_nothing():
     behind = np.indices((40, 40, 1), np.int32).reshape(3, -1).T + np.int32((0, 0, 13))
     evidence, nothing = np.full(len(behind), 3, np.int32), np.zeros((len(behind), 9), np.float32)
     put_states(voxel_map._storage, VoxelStates(behind, evidence > 0, evidence, nothing))
-    terrain = terrain_of(voxel_map, None, (1.0, 1.0, 7.5 * SIZE))
+    terrain = terrain_of(voxel_map, (1.0, 1.0, 7.5 * SIZE))
     assert np.isnan(terrain.heights).all()
 
 
@@ -123,6 +127,18 @@ def test_floor_above_which_nothing_was_seen_is_ground():
     terrain = found(states, (0.1, 0.1, 0.3))
     np.testing.assert_allclose(terrain.heights, middle_of(2), atol=1e-6)
     assert (terrain.seen[10:25, 12:28] <= 3 * SIZE + 1e-6).all()
+
+
+def test_the_ceiling_of_a_vault_that_begins_at_the_floor_is_no_ground():
+    """Where a robot has not seen the floor, next to itself, but the ceiling from below."""
+    states = columns((60, 60, 50), 2)
+    states[:40, 19:42] = UNKNOWN
+    rows = np.arange(40)
+    states[rows, 19:42, 42 - rows] = OCCUPIED
+    terrain = found(states, (SIZE, 18 * SIZE, middle_of(6)))
+    assert np.isnan(terrain.heights[:12, 19:42]).all()  # higher than a slope from the robot
+    np.testing.assert_allclose(terrain.heights[:, :18], middle_of(2), atol=1e-6)
+    np.testing.assert_allclose(terrain.heights[41:], middle_of(2), atol=1e-6)
 
 
 def test_cave_that_descends_below_its_own_entrance():
@@ -152,7 +168,7 @@ def test_ground_beyond_an_unmapped_strip_is_found_at_its_own_height():
     states = columns((30, 20, 30), 4)
     states[12:16] = UNKNOWN
     states[16:, :, 5:7] = OCCUPIED
-    terrain = found(states, (0.1, 0.1, 0.5), hole_cells=0)
+    terrain = found(states, (0.1, 0.1, 0.5), _HOLE_CELLS=0)
     assert np.isnan(terrain.heights[12:16]).all()
     np.testing.assert_allclose(terrain.heights[16:], middle_of(6), atol=1e-6)
 
@@ -165,7 +181,7 @@ def test_specks_are_neither_ground_nor_obstacles(rng):
     clean = found(states, (0.5, 0.5, 0.3))
     np.testing.assert_allclose(clean.heights, middle_of(3), atol=1e-6)
     assert np.isinf(clean.overhead).all()
-    assert np.isfinite(found(states, (0.5, 0.5, 0.3), speck_cells=0).overhead).sum() == 25
+    assert np.isfinite(found(states, (0.5, 0.5, 0.3), _SPECK_CELLS=0).overhead).sum() == 25
 
 
 @pytest.mark.parametrize(("evidence", "height"), [(3, 3), (9, 3), (18, 4)])
@@ -179,7 +195,7 @@ def test_voxel_that_was_not_hit_repeatedly_is_no_step(evidence, height):
         np.zeros((1, 9), np.float32),
     )
     put_states(voxel_map._storage, bump)
-    terrain = terrain_of(voxel_map, None, (0.5, 0.5, 0.3))
+    terrain = terrain_of(voxel_map, (0.5, 0.5, 0.3))
     assert terrain.height_at((20.5 * SIZE, 20.5 * SIZE)) == pytest.approx(middle_of(height))
 
 
@@ -223,7 +239,7 @@ def test_what_doubtful_poses_made_solid_above_a_known_surface_is_no_step(
 ):
     """It is one where a surface lies in it, be it upright, or where the ground is not known."""
     voxel_map = with_surface_above(normal, sigma, layers)
-    terrain = terrain_of(voxel_map, None, (0.2, 0.2, 0.3))
+    terrain = terrain_of(voxel_map, (0.2, 0.2, 0.3))
     assert terrain.height_at((18.5 * SIZE, 17.5 * SIZE)) == pytest.approx(height, abs=1e-5)
     assert terrain.height_at((5.5 * SIZE, 5.5 * SIZE)) == pytest.approx(middle_of(3))
 
@@ -253,7 +269,7 @@ def with_hole(below: int, ground: np.ndarray | int = 12) -> np.ndarray:
 def test_small_hole_is_filled_where_all_around_agree():
     filled = found(with_hole(0), (0.1, 0.1, 0.8))
     np.testing.assert_allclose(filled.heights, middle_of(12), atol=1e-6)
-    open_hole = found(with_hole(0), (0.1, 0.1, 0.8), hole_cells=1)
+    open_hole = found(with_hole(0), (0.1, 0.1, 0.8), _HOLE_CELLS=1)
     assert np.isnan(open_hole.heights[HOLE]).all()
 
 
@@ -271,24 +287,24 @@ def test_seen_ends_where_the_unknown_begins():
     states = columns((20, 20, 40), 2)
     states[5:10, 5:10, 14:] = UNKNOWN
     states[12, 12, 10:13] = UNKNOWN
-    terrain = found(states, (0.1, 0.1, 0.3), unknown_gap=0.15)
+    terrain = found(states, (0.1, 0.1, 0.3), _UNKNOWN_GAP=0.15)
     np.testing.assert_allclose(terrain.seen[5:10, 5:10], 14 * SIZE, atol=1e-6)
     assert terrain.seen[12, 12] == pytest.approx(terrain.seen[0, 0])
-    strict = found(states, (0.1, 0.1, 0.3), unknown_gap=0.1)
+    strict = found(states, (0.1, 0.1, 0.3), _UNKNOWN_GAP=0.1)
     assert strict.seen[12, 12] == pytest.approx(10 * SIZE)
 
 
 def test_wall_whose_top_was_not_seen_is_closed():
     states = columns((20, 20, 40), 2)
     states[10, :, 3:20], states[10, :, 20:] = OCCUPIED, UNKNOWN
-    terrain = found(states, (0.1, 0.1, 0.3), hole_cells=0)
+    terrain = found(states, (0.1, 0.1, 0.3), _HOLE_CELLS=0)
     assert np.isnan(terrain.heights[10]).all()
     assert np.isinf(terrain.floor[10]).all()
     np.testing.assert_allclose(terrain.overhead[10], 2 * SIZE, atol=1e-6)
 
 
 def test_empty_map_has_no_ground():
-    terrain = terrain_of(VoxelMap(), None, (1.0, 2.0, 3.0))
+    terrain = terrain_of(VoxelMap(), (1.0, 2.0, 3.0))
     assert np.isnan(terrain.heights).all()
     assert terrain.near == (1.0, 2.0, 3.0)
 
@@ -303,6 +319,4 @@ def test_cells_and_middles_are_inverse(rng):
 
 def test_nonsense_is_refused_by_name():
     with pytest.raises(InvalidInputError, match="near"):
-        terrain_of(VoxelMap(), None, (0.0, np.nan, 0.0))
-    with pytest.raises(ConfigError, match="resolution"):
-        TerrainConfig(resolution=-1.0)
+        terrain_of(VoxelMap(), (0.0, np.nan, 0.0))

@@ -72,7 +72,7 @@ class DriveOracle:
         return 0 <= i < self.nodes.shape[0] and 0 <= j < self.nodes.shape[1]
 
     def costs_from(self, start: Node) -> np.ndarray:
-        """Cost of the best way to each node [m], inf where there is none (Dijkstra)."""
+        """Cost of the best path to each node [m], inf where there is none (Dijkstra)."""
         costs = np.full(self.nodes.shape, np.inf)
         costs[start] = 0.0
         waiting = [(0.0, start)]

@@ -1,4 +1,4 @@
-"""Ways of the arm around obstacles, looked at densely and without the planner's own margin."""
+"""Paths of the arm around obstacles, looked at densely and without the planner's own margin."""
 
 from __future__ import annotations
 
@@ -54,14 +54,14 @@ def is_free_all_along(checker: CollisionChecker, path: ArmPath) -> bool:
 
 
 @pytest.mark.parametrize("obstacle", [shelf, wall_with_a_gap])
-def test_ways_are_free_all_along(
+def test_paths_are_free_all_along(
     robot: RobotModel, body: CollisionBody, obstacle: object, rng: np.random.Generator
 ) -> None:
     checker = CollisionChecker(body, field_where(obstacle))
     qs = rng.uniform(robot.arm.lower, robot.arm.upper, (400, 4))
     qs = qs[checker.are_free(qs, BASE)]
     pairs = zip(qs[::2], qs[1::2], strict=False)
-    blocked = [pair for pair in pairs if checker.contact_on_way(*pair, BASE)][:8]
+    blocked = [pair for pair in pairs if checker.contact_between(*pair, BASE)][:8]
     assert len(blocked) >= 4
     for start, goal in blocked:
         path = plan_arm_path(checker, start, goal, BASE)
@@ -82,7 +82,7 @@ def test_camera_goes_through_the_gap(body: CollisionBody) -> None:
     assert is_free_all_along(checker, path)
 
 
-def test_free_way_is_straight_and_keeps_the_limits(body: CollisionBody) -> None:
+def test_free_path_is_straight_and_keeps_the_limits(body: CollisionBody) -> None:
     checker = CollisionChecker(body, field_where(lambda x, y, z: x > 1.5))
     start, goal = np.zeros(4), np.array([1.0, -0.5, 0.4, 0.2])
     path = plan_arm_path(checker, start, goal, BASE)
@@ -100,7 +100,7 @@ def test_result_depends_on_the_seed_alone(body: CollisionBody) -> None:
 
 
 def test_effort_is_counted_in_samples(body: CollisionBody) -> None:
-    """One sample is not enough for the way through the window, and the reason says so."""
+    """One sample is not enough for the path through the window, and the reason says so."""
     checker = CollisionChecker(body, field_where(wall_with_a_gap))
     start, goal = np.zeros(4), np.array([1.37, 1.12, 0.48, -1.77])
     path = plan_arm_path(checker, start, goal, BASE, ArmPathConfig(samples=1), seed=5)
@@ -122,7 +122,7 @@ def test_goal_beyond_the_limits_is_refused_by_name(body: CollisionBody) -> None:
     assert path.reason == "the goal is beyond the limits of arm_elbow_joint"
 
 
-def test_search_ends_where_there_is_no_way(body: CollisionBody) -> None:
+def test_search_ends_where_there_is_no_path(body: CollisionBody) -> None:
     """Walls left and right: the arm leans forwards or backwards, never from one to the other."""
     checker = CollisionChecker(
         body, field_where(lambda x, y, z: (abs(y) > 0.12) & (abs(z - 0.5) < 0.7) | (z > 0.5))

@@ -20,7 +20,7 @@ NAMES = ROBOT.arm.joint_names
 A, B, C = np.zeros(4), np.array([0.5, 0.5, 0.0, 0.0]), np.array([0.5, -0.5, 1.0, 0.3])
 
 
-def way(*corners: np.ndarray) -> ArmPath:
+def arm_path(*corners: np.ndarray) -> ArmPath:
     return time_path(ROBOT.arm, np.stack(corners))
 
 
@@ -34,50 +34,50 @@ def staying(q: np.ndarray) -> ArmPath:
     return ArmPath.staying(NAMES, q)
 
 
-def test_corners_of_a_timed_way_are_those_it_was_made_of() -> None:
-    np.testing.assert_allclose(corners_of(way(A, B, C, A).positions), [A, B, C, A], atol=1e-12)
+def test_corners_of_a_timed_path_are_those_it_was_made_of() -> None:
+    np.testing.assert_allclose(corners_of(arm_path(A, B, C, A).positions), [A, B, C, A], atol=1e-12)
     np.testing.assert_array_equal(corners_of(A[None]), [A])
     np.testing.assert_array_equal(corners_of(np.stack([A, B, A])), [A, B, A])
 
 
 def test_trail_grows_while_the_base_stands() -> None:
     trail = ArmTrail.at(BASE, A)
-    trail = trail.after(BASE, B, route(staying(A), way(A, B)))
-    trail = trail.after(BASE, C, route(staying(B), way(B, C)))
+    trail = trail.after(BASE, B, route(staying(A), arm_path(A, B)))
+    trail = trail.after(BASE, C, route(staying(B), arm_path(B, C)))
     np.testing.assert_allclose(trail.back(), [C, B, A], atol=1e-12)
 
 
 def test_motion_left_in_the_middle_is_gone_back_from_there() -> None:
     half = 0.5 * (B + C)
-    trail = ArmTrail.at(BASE, A).after(BASE, half, route(staying(A), way(A, B, C)))
+    trail = ArmTrail.at(BASE, A).after(BASE, half, route(staying(A), arm_path(A, B, C)))
     np.testing.assert_allclose(trail.back(), [half, B, A], atol=1e-12)
 
 
 def test_trail_begins_anew_where_the_base_has_driven() -> None:
     trail = ArmTrail.at(BASE, A)
     there = make_transform(np.eye(3), (1.0, 0.0, 0.0))
-    trail = trail.after(there, C, route(way(A, B), way(B, C), drives=True))
+    trail = trail.after(there, C, route(arm_path(A, B), arm_path(B, C), drives=True))
     np.testing.assert_allclose(trail.back(), [C, B], atol=1e-12)
 
 
 def test_drive_that_failed_leaves_the_folded_arm() -> None:
     trail = ArmTrail.at(BASE, A)
     there = make_transform(np.eye(3), (0.4, 0.0, 0.0))
-    trail = trail.after(there, B, route(way(A, B), way(B, C), drives=True))
+    trail = trail.after(there, B, route(arm_path(A, B), arm_path(B, C), drives=True))
     np.testing.assert_allclose(trail.back()[0], B)
     assert len(np.unique(trail.positions.round(6), axis=0)) == 1
 
 
 @pytest.mark.parametrize("moved", [(0.3, 0.0, 0.0), (0.0, 0.0, 0.0)])
 def test_nothing_is_known_of_an_arm_or_base_that_others_moved(moved: tuple[float, ...]) -> None:
-    trail = ArmTrail.at(BASE, A).after(BASE, B, route(staying(A), way(A, B)))
+    trail = ArmTrail.at(BASE, A).after(BASE, B, route(staying(A), arm_path(A, B)))
     there = BASE @ make_transform(np.eye(3), moved)
     trail = trail.after(there, B if any(moved) else C, None)
     assert len(trail.positions) == 1
 
 
 def test_pose_that_is_corrected_a_little_keeps_the_trail() -> None:
-    trail = ArmTrail.at(BASE, A).after(BASE, B, route(staying(A), way(A, B)))
+    trail = ArmTrail.at(BASE, A).after(BASE, B, route(staying(A), arm_path(A, B)))
     corrected = BASE @ make_transform(np.eye(3), (0.02, -0.01, 0.005))
     trail = trail.after(corrected, B, None)
     np.testing.assert_allclose(trail.back()[[0, -1]], [B, A], atol=1e-12)

@@ -1,4 +1,4 @@
-"""Ways of the base against an exhaustive search in plain Python."""
+"""Paths of the base against an exhaustive search in plain Python."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from infomap_ros.errors import ConfigError, InvalidInputError
+from infomap_ros.motion.base import base_planner
 from infomap_ros.motion.base.base_planner import BasePlanner
 from infomap_ros.motion.base.drive_graph import arc_points
 from infomap_ros.motion.base.drive_space import TURN_STEP, BasePath, BasePlannerConfig
@@ -186,7 +187,7 @@ def test_passage_is_found_and_a_closed_wall_gives_the_farthest_approach(vehicle)
     assert through.complete
     stopped = BasePlanner(walled(None), vehicle).plan((0, 0, 0), (0.0, 1.3, 0.0))
     assert not stopped.complete
-    assert stopped.reason.startswith("no way to the goal over ground that is known and safe")
+    assert stopped.reason.startswith("no path to the goal over ground that is known and safe")
     assert 0.3 < stopped.poses[-1, 1] < 0.8
 
 
@@ -239,7 +240,7 @@ def test_start_on_ground_that_was_never_seen_does_not_lock(vehicle):
     is_drivable(path, planner)
 
 
-def test_robot_that_stands_where_it_should_not_may_leave(vehicle):
+def test_robot_that_stands_where_it_should_not_may_leave(vehicle, monkeypatch):
     """A post has come to stand next to the wheel."""
 
     def height(x, y):
@@ -249,9 +250,8 @@ def test_robot_that_stands_where_it_should_not_may_leave(vehicle):
     assert not stance_of(vehicle, terrain, 0.0, 0.0, 0.0).ok
     path = BasePlanner(terrain, vehicle).plan((0, 0, 0), (-1, 0, 0))
     assert path.complete
-    locked = BasePlanner(terrain, vehicle, BasePlannerConfig(escape=0.0)).plan(
-        (0, 0, 0), (-1, 0, 0)
-    )
+    monkeypatch.setattr(base_planner, "_ESCAPE", 0.0)
+    locked = BasePlanner(terrain, vehicle).plan((0, 0, 0), (-1, 0, 0))
     assert not locked.complete and len(locked.poses) == 0
     assert locked.reason.startswith("the robot cannot leave its place: ")
 
@@ -371,5 +371,5 @@ def test_nonsense_is_refused_by_name(vehicle):
         planner.plan((0.0, 0.0, 0.0), (1.0, math.inf, 0.0))
     with pytest.raises(InvalidInputError, match="goals"):
         planner.plan((0.0, 0.0, 0.0), (1.0, 0.0))
-    with pytest.raises(ConfigError, match="reach"):
-        BasePlannerConfig(reach=0.0)
+    with pytest.raises(ConfigError, match="turning_radius"):
+        BasePlannerConfig(turning_radius=-1.0)

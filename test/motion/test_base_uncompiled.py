@@ -1,4 +1,4 @@
-"""Stances and ways of the base mean the same in plain Python."""
+"""Stances and paths of the base mean the same in plain Python."""
 
 from __future__ import annotations
 

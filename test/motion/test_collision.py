@@ -175,7 +175,7 @@ def test_no_point_of_the_body_moves_farther_than_its_bound(
 
 
 @pytest.mark.parametrize("wider", [0.0, 0.03])
-def test_way_that_is_called_free_is_free_everywhere(
+def test_segment_that_is_called_free_is_free_everywhere(
     robot: RobotModel, body: CollisionBody, rng: np.random.Generator, wider: float
 ) -> None:
     blocked = np.zeros((60, 60, 50), bool)
@@ -185,7 +185,7 @@ def test_way_that_is_called_free_is_free_everywhere(
     ends = random_arm(robot, rng, 400)
     free = 0
     for first, second in zip(ends[::2], ends[1::2], strict=True):
-        touched = checker.contact_on_way(first, second, np.eye(4))
+        touched = checker.contact_between(first, second, np.eye(4))
         dense = first + np.linspace(0, 1, 700)[:, None] * (second - first)
         if not touched:
             assert _free_of_voxels(body, field, dense, wider).all()

@@ -1,4 +1,4 @@
-"""Ways over ground that is not known everywhere."""
+"""Paths over ground that is not known everywhere."""
 
 from __future__ import annotations
 

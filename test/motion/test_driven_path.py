@@ -131,31 +131,31 @@ def test_a_shorter_path_is_driven_where_it_is_worth_its_stop(
     open_field, monkeypatch, bend, is_taken
 ) -> None:
     """A right angle cut off at both sides, with two stops instead of one and the same turning."""
-    way = np.stack(ANGLE)
+    path = np.stack(ANGLE)
     cut = np.stack([
-        way[0], way[1] - (bend, 0.0, 0.0), way[1] + (0.0, bend, math.pi / 4), way[2],
+        path[0], path[1] - (bend, 0.0, 0.0), path[1] + (0.0, bend, math.pi / 4), path[2],
     ])  # fmt: skip
     monkeypatch.setattr(driven_path._Search, "shortened", lambda self, path: cut)
     monkeypatch.setattr(open_field, "_thinned", open_field._straightened)
     saved = 2.0 * bend - math.hypot(bend, bend)
     assert (saved > driven_path._STOP) == is_taken
     monkeypatch.setattr(driven_path._Search, "planned", lambda self, samples: None)
-    found = open_field.better_than(way, 100)
+    found = open_field.better_than(path, 100)
     assert (found is not None) == is_taken
 
 
 def test_a_path_that_turns_more_is_not_driven(open_field, monkeypatch) -> None:
     """A detour at one heading is cut off: for less length and cost, but with turns."""
-    way = np.array([(-1.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.6, 0.0, 0.0)])
+    path = np.array([(-1.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.6, 0.0, 0.0)])
     turned = np.array([(-1.0, 0.0, 0.0), (-0.2, 0.1, 0.1), (0.6, 0.0, 0.0)])
     monkeypatch.setattr(driven_path._Search, "shortened", lambda self, path: turned)
     monkeypatch.setattr(driven_path._Search, "planned", lambda self, samples: None)
     monkeypatch.setattr(open_field, "_thinned", open_field._straightened)
-    before, after = open_field._effort(way), open_field._effort(open_field._straightened(turned))
+    before, after = open_field._effort(path), open_field._effort(open_field._straightened(turned))
     assert after.cost < before.cost and after.turning > before.turning
-    assert open_field.better_than(way, 100) is None
+    assert open_field.better_than(path, 100) is None
     monkeypatch.undo()
-    assert len(open_field.better_than(way, 100)) == 2
+    assert len(open_field.better_than(path, 100)) == 2
 
 
 def test_stops_are_turns_in_place_and_changes_of_direction() -> None:

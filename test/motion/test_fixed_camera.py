@@ -84,7 +84,7 @@ def test_higher_or_steeper_views_are_out_of_reach(gate: WholeBodyReach, view: np
     assert gate.reach(view).reason != ""
 
 
-def test_the_way_ends_before_a_wall(robot: RobotModel) -> None:
+def test_the_path_ends_before_a_wall(robot: RobotModel) -> None:
     reach = WholeBodyReach(robot, map_where(closed_wall, everything), BASE, {})
     assert reach.reach(looking((2.2, 0.3, HEIGHT), 2.0)).reason != ""
 

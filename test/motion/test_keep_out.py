@@ -148,7 +148,7 @@ def last_broken(path: BasePath, footprint: FloatArray, rules: KeepOut) -> int:
     ("start", "least"),
     [((0.0, 0.9, 1.5), 0.5), ((0.0, -0.9, 0.0), 0.5), ((-0.9, 0.0, 0.0), 0.5)],
 )
-def test_a_robot_leaves_a_region_by_the_shortest_way_and_stays_out(
+def test_a_robot_leaves_a_region_by_the_shortest_path_and_stays_out(
     terrain: Terrain, vehicle: Vehicle, footprint: FloatArray, start: tuple, least: float
 ) -> None:
     square = Polygon.of([(-1.4, -1.4), (1.4, -1.4), (1.4, 1.4), (-1.4, 1.4)], "square")
@@ -180,7 +180,7 @@ def test_a_robot_that_leaves_one_region_stays_out_of_the_others(
     assert last_broken(path, footprint, KeepOut((band,))) > 0
 
 
-def test_a_robot_outside_a_fence_comes_in_by_the_shortest_way_and_stays(
+def test_a_robot_outside_a_fence_comes_in_by_the_shortest_path_and_stays(
     terrain: Terrain, vehicle: Vehicle, footprint: FloatArray
 ) -> None:
     fence = Polygon.of([(-0.4, -2.0), (2.2, -2.0), (2.2, 2.0), (-0.4, 2.0)], "yard")
@@ -198,7 +198,7 @@ def test_a_robot_for_which_there_is_no_way_out_says_so(terrain: Terrain, vehicle
     path = planner.plan((0.0, 0.0, 0.0), (1.0, 0.0, 0.0))
     assert not path.complete and len(path.poses) == 0
     assert (
-        path.reason == "the robot stands in or next to keep-out region 'all', and no way leads out"
+        path.reason == "the robot stands in or next to keep-out region 'all', and no path leads out"
     )
     assert not planner.reachable_area((0.0, 0.0, 0.0)).any()
 

@@ -1,4 +1,4 @@
-"""TIAGo and Stretch plan ways to views, with parameters only: a gate in a wall, known ground."""
+"""TIAGo and Stretch plan routes to views, with parameters only: a gate in a wall, known ground."""
 
 from __future__ import annotations
 

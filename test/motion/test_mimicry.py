@@ -113,7 +113,7 @@ def test_a_continuous_leader_beyond_a_turn():
 
 
 def test_joints_may_be_said_to_mimic():
-    """Three sliding segments that one motor drives are one joint with three times the way."""
+    """Three sliding segments that one motor drives are one joint with three times the travel."""
     segments = [("j", "prismatic", "a", "b", ""), ("k", "prismatic", "b", "c", "")]
     joints = [*segments, ("l", "prismatic", "c", "d", "")]
     robot = robot_with(*joints, camera_frame="d", mimics={"k": "j", "l": "k"})

@@ -1,4 +1,4 @@
-"""Other robots in the way: neither base nor arm goes where they stand, and the way leads around."""
+"""Other robots in the way: neither base nor arm goes where they stand; paths lead around them."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def test_the_base_drives_around_another_robot(robot: RobotModel) -> None:
     straight = reach_among(robot).reach(view)
     assert straight.route is not None
     through = np.hypot(straight.route.base_path[:, 0] - 1.2, straight.route.base_path[:, 1])
-    assert through.min() < 0.5, "without it the way leads through its place"
+    assert through.min() < 0.5, "without it the path leads through its place"
 
     reach = reach_among(robot, AHEAD)
     result = reach.reach(view)

@@ -56,7 +56,7 @@ def test_sigma_of_the_base_is_that_of_displaced_rims() -> None:
 
 
 def test_margin_grows_with_the_sigma_up_to_its_limit() -> None:
-    config = VehicleConfig(margin=0.02, margin_sigmas=2.0, max_margin=0.08)
+    config = VehicleConfig(margin=0.02)
     assert widenings_for(config, 0.0) == [0.0]
     assert widenings_for(config, 0.005) == [0.0]
     np.testing.assert_allclose(widenings_for(config, 0.0225), [0.03, 0.02, 0.01, 0.0])
@@ -108,7 +108,7 @@ def test_arm_leans_less_far_towards_a_slab_where_the_pose_is_in_doubt(joints) ->
     )
     here, leanings = np.zeros(3), np.arange(0.0, 1.2, 0.03)
     farthest = [
-        max(by for by in leanings if reach.way_to(here, {lift: by}).reason == "")
+        max(by for by in leanings if reach.route_to(here, {lift: by}).reason == "")
         for reach in (sure, doubtful)
     ]
     assert 0.0 < farthest[1] < farthest[0] < leanings[-1]

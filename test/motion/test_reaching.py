@@ -123,7 +123,7 @@ def test_views_behind_a_closed_wall_are_approached(
     assert result.route.base_path[:, 0].max() < 1.2
 
 
-def test_views_that_no_arm_holds_are_refused_before_any_way_is_sought(
+def test_views_that_no_arm_holds_are_refused_before_any_route_is_sought(
     gate: WholeBodyReach,
 ) -> None:
     views = np.stack([*VIEWS, looking((0.5, 0.0, 1.9), 0.0), looking((9.0, 0.0, 0.5), 0.0)])
@@ -174,9 +174,9 @@ def test_robot_in_unknown_space_may_leave_its_own_place_only(
     assert reach.reach(near).reason == ""
 
 
-def test_way_home_ends_in_place_and_posture(gate: WholeBodyReach) -> None:
+def test_route_home_ends_in_place_and_posture(gate: WholeBodyReach) -> None:
     home = {"arm_shoulder_joint": 0.3, "arm_elbow_joint": -0.4}
-    result = gate.way_to((-1.0, 0.8, 1.2), home)
+    result = gate.route_to((-1.0, 0.8, 1.2), home)
     assert result.reason == "" and result.route is not None
     end = result.route.base_path[-1]
     np.testing.assert_allclose(end[:2], (-1.0, 0.8), atol=0.05)
@@ -184,8 +184,8 @@ def test_way_home_ends_in_place_and_posture(gate: WholeBodyReach) -> None:
     np.testing.assert_allclose(result.route.arm_after.positions[-1], (0.0, 0.3, -0.4, 0.0))
 
 
-def test_way_home_of_a_robot_at_home_moves_the_arm_only(gate: WholeBodyReach) -> None:
-    result = gate.way_to((0.0, 0.0, 0.0), {"arm_pan_joint": 0.5})
+def test_route_home_of_a_robot_at_home_moves_the_arm_only(gate: WholeBodyReach) -> None:
+    result = gate.route_to((0.0, 0.0, 0.0), {"arm_pan_joint": 0.5})
     assert result.reason == "" and result.route is not None
     assert not result.route.moves_base and result.joint_travel == pytest.approx(0.5)
 
@@ -239,7 +239,7 @@ def test_robot_that_has_only_looked_ahead_can_leave_its_place(
     """Nothing is known where its rear wheels stand, nor beyond."""
     ahead = map_where(ground, lambda x, y, z: x > 0.3)
     reach = WholeBodyReach(robot, ahead, BASE, joints, start=ClearStart(BASE, 0.9))
-    result = reach.way_to((x, 0.0, 0.0), {})
+    result = reach.route_to((x, 0.0, 0.0), {})
     assert result.reason == "" and result.travel == pytest.approx(abs(x), abs=0.01)
 
 
@@ -249,7 +249,7 @@ def test_space_that_blocks_the_base_for_it_was_never_seen_is_named(
     """Beyond 1 m the camera has seen the ground and little above it: no place for the body."""
     low = map_where(ground, lambda x, y, z: (np.hypot(x, y) < 1.0) | (z < 0.2))
     reach = WholeBodyReach(robot, low, BASE, joints)
-    assert reach.way_to((1.5, 0.0, 0.0), {}).reason != ""
+    assert reach.route_to((1.5, 0.0, 0.0), {}).reason != ""
     boxes = reach.unseen_ahead
     assert boxes
     for place in ((1.2, 0.0, 0.25), (-1.0, 0.7, 0.3), (0.0, -1.3, 0.3)):
@@ -257,7 +257,7 @@ def test_space_that_blocks_the_base_for_it_was_never_seen_is_named(
     assert not points_inside([(0.0, 0.0, 0.3), (1.2, 0.0, 0.0), (1.2, 0.0, 2.0)], boxes).any()
     seen = WholeBodyReach(robot, map_where(ground, everything), BASE, joints)
     assert seen.unseen_ahead == []
-    assert seen.way_to((1.5, 0.0, 0.0), {}).reason == ""
+    assert seen.route_to((1.5, 0.0, 0.0), {}).reason == ""
 
 
 def test_another_compact_posture_drives_where_the_usual_one_is_blocked(

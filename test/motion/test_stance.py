@@ -344,14 +344,14 @@ def test_wheel_climbs_three_quarters_of_its_radius():
         assert stance_of(rover(**config), kerb, 0.0, 0.0, 0.0).ok is good
 
 
-def test_ground_that_seems_a_little_worse_under_way_breaks_nothing_off() -> None:
+def test_ground_that_seems_a_little_worse_while_driving_breaks_nothing_off() -> None:
     """Noise of the ground is no obstacle; a box is."""
     config = VehicleConfig(footprint=(0.2, 0.1, -0.2, 0.1, -0.2, -0.1, 0.2, -0.1), max_step=0.04)
     robot = Vehicle.from_robot(RobotModel.from_urdf(SKIRT), config)
 
     def reasons(height):
         edge = ground(lambda x, y: np.where(x > 0.15, height, 0.0))
-        return [stance_of(one, edge, 0.0, 0.0, 0.0).reason for one in (robot, robot.under_way)]
+        return [stance_of(one, edge, 0.0, 0.0, 0.0).reason for one in (robot, robot.while_driving)]
 
     assert "step" in reasons(0.05)[0] and reasons(0.05)[1] == ""
     assert all(reasons(0.1))

@@ -1,4 +1,4 @@
-"""Timed ways keep their limits, by finite differences."""
+"""Timed paths keep their limits, by finite differences."""
 
 from __future__ import annotations
 
@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from infomap_ros.errors import ConfigError, InvalidInputError
-from infomap_ros.motion.arm.arm_path import FreeWay, TrajectoryConfig, time_path
+from infomap_ros.motion.arm.arm_path import FreeSegment, TrajectoryConfig, time_path
 
 from .bodies import rover
 
 CHAIN = rover().arm
 
 
-def random_way(rng: np.random.Generator, corners: int) -> np.ndarray:
+def random_corners(rng: np.random.Generator, corners: int) -> np.ndarray:
     scale = 10.0 ** rng.uniform(-4, 0, (corners, 1))
     return np.cumsum(scale * rng.uniform(-1, 1, (corners, len(CHAIN))), axis=0)
 
@@ -25,12 +25,12 @@ def anywhere(first: np.ndarray, second: np.ndarray) -> bool:
 @pytest.mark.parametrize("is_free", [None, anywhere])
 @pytest.mark.parametrize("period", [0.01, 0.05, 1.0])
 def test_velocity_and_acceleration_keep_their_limits(
-    rng: np.random.Generator, period: float, is_free: FreeWay | None
+    rng: np.random.Generator, period: float, is_free: FreeSegment | None
 ) -> None:
     config = TrajectoryConfig(velocity_share=0.7, acceleration=0.8, period=period)
     limits = 0.7 * CHAIN.velocity
     for corners in (2, 3, 10):
-        path = time_path(CHAIN, random_way(rng, corners), config, is_free)
+        path = time_path(CHAIN, random_corners(rng, corners), config, is_free)
         steps = np.diff(path.times)
         assert path.times[0] == 0.0 and (steps > 0.0).all()
         assert steps.max() <= period * (1 + 1e-6)
@@ -43,10 +43,10 @@ def test_velocity_and_acceleration_keep_their_limits(
 
 
 def beside(point: np.ndarray, corners: np.ndarray) -> float:
-    """How far the joint that is off most is from a way of straight pieces, at least."""
+    """How far the joint that is off most is from a path of straight pieces, at least."""
     shares = np.linspace(0.0, 1.0, 2001)[:, None]
-    ways = [a + shares * (b - a) for a, b in zip(corners, corners[1:], strict=False)]  # noqa: RUF007
-    return min(float(np.abs(way - point).max(axis=1).min()) for way in ways)
+    segments = [a + shares * (b - a) for a, b in zip(corners, corners[1:], strict=False)]  # noqa: RUF007
+    return min(float(np.abs(segment - point).max(axis=1).min()) for segment in segments)
 
 
 def test_corners_are_passed_within_the_deviation_and_sooner(rng: np.random.Generator) -> None:
@@ -65,8 +65,8 @@ def test_corners_are_passed_within_the_deviation_and_sooner(rng: np.random.Gener
 def test_right_angle_by_hand() -> None:
     """Two joints, one after the other, that accelerate by 4: past the corner at sqrt(8 a d)."""
     config = TrajectoryConfig(velocity_share=1.0, acceleration=4.0, corner_deviation=0.005)
-    way = np.array([[0, 0, 0, 0], [1, 0, 0, 0], [1, 0, 1, 0]], float)
-    path, passed = time_path(CHAIN, way, config), time_path(CHAIN, way, config, anywhere)
+    corners = np.array([[0, 0, 0, 0], [1, 0, 0, 0], [1, 0, 1, 0]], float)
+    path, passed = time_path(CHAIN, corners, config), time_path(CHAIN, corners, config, anywhere)
     middle = passed.positions[np.abs(1.0 - passed.positions[:, [0, 2]].sum(axis=1)).argmin()]
     np.testing.assert_allclose(middle[[0, 2]], (1.0 - 0.005, 0.005), atol=1e-9)
     speed, margin, expected = 0.4, 0.02, 0.0
@@ -90,17 +90,17 @@ def test_where_the_parabola_is_not_free_the_arm_stops() -> None:
 
 
 def test_straight_on_is_not_slowed_down_by_a_corner() -> None:
-    way = np.array([[0, 0, 0, 0], [0.4, 0.4, 0, 0], [1, 1, 0, 0]], float)
-    through = time_path(CHAIN, way, None, anywhere)
-    direct = time_path(CHAIN, way[[0, 2]])
+    corners = np.array([[0, 0, 0, 0], [0.4, 0.4, 0, 0], [1, 1, 0, 0]], float)
+    through = time_path(CHAIN, corners, None, anywhere)
+    direct = time_path(CHAIN, corners[[0, 2]])
     assert through.duration == pytest.approx(direct.duration, rel=1e-9)
 
 
-def test_times_increase_however_little_a_way_bends(rng: np.random.Generator) -> None:
+def test_times_increase_however_little_a_path_bends(rng: np.random.Generator) -> None:
     for _ in range(100):
-        way = np.outer([0.0, 0.6, 1.0], [0.5, 1.0, -0.16, 0.3])
-        way[1] += 10.0 ** rng.uniform(-17.0, -4.0) * rng.normal(size=4)
-        times = time_path(CHAIN, way, None, anywhere).times
+        corners = np.outer([0.0, 0.6, 1.0], [0.5, 1.0, -0.16, 0.3])
+        corners[1] += 10.0 ** rng.uniform(-17.0, -4.0) * rng.normal(size=4)
+        times = time_path(CHAIN, corners, None, anywhere).times
         assert (np.diff(times) > 0.0).all()
 
 
@@ -120,8 +120,8 @@ def test_short_piece_is_a_triangle() -> None:
     assert path.duration == pytest.approx(2.0 * np.sqrt(0.04))
 
 
-def test_knots_lie_on_the_way_and_meet_its_corners(rng: np.random.Generator) -> None:
-    corners = random_way(rng, 6)
+def test_knots_lie_on_the_path_and_meet_its_corners(rng: np.random.Generator) -> None:
+    corners = random_corners(rng, 6)
     path = time_path(CHAIN, corners)
     row = 0
     for first, second in zip(corners, corners[1:], strict=False):  # noqa: RUF007

@@ -110,15 +110,15 @@ class LossyLink:
 
     def _carry(self) -> None:
         """Carry frames until the end."""
-        on_way: list[tuple[float, int, socket.socket, bytes]] = []
+        in_transit: list[tuple[float, int, socket.socket, bytes]] = []
         count = 0
         while not self._stop.is_set():
             now = time.monotonic()
-            while on_way and on_way[0][0] <= now:
-                _, _, card, frame = heapq.heappop(on_way)
+            while in_transit and in_transit[0][0] <= now:
+                _, _, card, frame = heapq.heappop(in_transit)
                 card.send(frame)
                 self.carried += 1
-            wait = min(0.05, on_way[0][0] - now) if on_way else 0.05
+            wait = min(0.05, in_transit[0][0] - now) if in_transit else 0.05
             for card in select.select(self._cards, [], [], wait)[0]:
                 frame, sender = card.recvfrom(65536)
                 if sender[2] == _OUTGOING:
@@ -128,4 +128,4 @@ class LossyLink:
                     continue
                 other = self._cards[1 - self._cards.index(card)]
                 count += 1
-                heapq.heappush(on_way, (time.monotonic() + self._delay, count, other, frame))
+                heapq.heappush(in_transit, (time.monotonic() + self._delay, count, other, frame))

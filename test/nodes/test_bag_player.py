@@ -26,6 +26,7 @@ from infomap_ros.messages import decode_image, decode_joint_state, encode_point_
 from infomap_ros.nodes.bag_player import BagPlayerNode
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.message_types import RclpyMessageTypes
+from infomap_ros.replay.bags import player as player_module
 from infomap_ros.replay.bags.writer import BagWriter
 
 SECOND = 1_000_000_000
@@ -160,7 +161,10 @@ def test_looping_jumps_back_to_the_start(graph: Any, bag: Path) -> None:
     assert [stamp_of(m) for m in joints[: 2 * COUNT]] == STAMPS + STAMPS
 
 
-def test_acknowledged_play_waits_for_each_result(graph: Any, bag: Path) -> None:
+def test_acknowledged_play_waits_for_each_result(
+    graph: Any, bag: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(player_module, "_ACKNOWLEDGE_TIMEOUT", 60.0)
     images = graph.collect(Image, "left/image_raw")
     results = graph.publisher(PointCloud2, "map_updates")
     player = graph.add(
@@ -168,7 +172,6 @@ def test_acknowledged_play_waits_for_each_result(graph: Any, bag: Path) -> None:
         bag=str(bag),
         acknowledged=True,
         window=1,
-        acknowledge_timeout=60.0,
         wait_for_subscribers=["left/image_raw"],
     )
     graph.connect(results)

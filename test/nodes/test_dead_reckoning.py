@@ -112,7 +112,7 @@ def test_what_is_known_of_the_way_is_forgotten_when_time_goes_back(graph: Any) -
     for second in range(40, 50):
         stage.tell(second * SECOND, x=float(second), pan=0.0)
     stage.look(49 * SECOND)
-    graph.spin_until(lambda: stage.poses, "the pose after a way")
+    graph.spin_until(lambda: stage.poses, "the pose after a motion")
     for moment in (SECOND, SECOND + SECOND // 10):  # a lone stamp would be no jump
         stage.tell(moment, x=0.0, pan=0.0)
     stage.look(SECOND + SECOND // 10)

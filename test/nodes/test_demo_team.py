@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from infomap_ros.errors import ProcessError
 from infomap_ros.nodes.live import demo_team
+from infomap_ros.nodes.live.demo_command import demo_world, task_parameters
 from infomap_ros.nodes.live.kernels import STEPS, TEAM, compile_kernels
 from infomap_ros.nodes.live.live_exploration import LiveTeam
-from infomap_ros.simulation.multi_robot.team_world import TeamStart
+from infomap_ros.simulation.team_world import TeamStart
 
 
 def test_each_robot_is_told_who_it_is_and_where_it_starts(tmp_path: Path) -> None:
@@ -30,6 +32,31 @@ def test_each_robot_is_told_who_it_is_and_where_it_starts(tmp_path: Path) -> Non
     assert len({str(robot["map_fusion"]["map_file"]) for robot in nodes}) == 3
     reliable = "qos_overrides./rover2/camera_pose.subscription.reliability"
     assert nodes[1]["map_fusion"][reliable] == "reliable"
+
+
+def test_without_a_board_each_begins_its_own_map_and_knows_the_others_tags(tmp_path: Path) -> None:
+    starts = [TeamStart((0.0, float(y), 0.1), 1.0) for y in (-1, 1)]
+    team = LiveTeam(tmp_path, starts, has_board=False)
+    for number, name in enumerate(team.names, start=1):
+        nodes = team._parameters[name]
+        located, simulated = nodes["fiducial_localization"], nodes["simulator"]
+        assert located["target.kind"] == "none" and located["follow_alignment"] is True
+        assert not [key for key in located if key.startswith("target.") and "kind" not in key]
+        assert simulated["world_target"] is False and simulated["teammate_ids"] == [3 - number]
+        for key in ("robots", "ids", "poses"):
+            assert located[f"team_tags.{key}"] == simulated[f"team_tags.{key}"]
+        assert "tag" not in str(nodes["map_fusion"])  # where the frames are no node is told
+        assert simulated["start"] not in [nodes[node] for node in nodes if node != "simulator"]
+        assert Path(str(simulated["description"])).read_text().count("<box") > 6
+
+
+def test_the_region_without_a_board_holds_in_the_map_of_each() -> None:
+    world = demo_world("mars", 1, 4.0, has_board=False)
+    assert world.T_world_target is None
+    starts = [TeamStart((0.0, -0.5, 0.0), 1.0), TeamStart((0.5, 0.5, 0.0), 1.0)]
+    task = task_parameters(world, {}, starts)
+    np.testing.assert_allclose(task["task.region_low"][:2], [-2.5, -2.5])
+    np.testing.assert_allclose(task["task.region_high"][:2], [2.0, 2.5])
 
 
 @pytest.mark.parametrize("failing", ["", "map"])

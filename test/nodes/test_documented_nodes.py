@@ -5,11 +5,14 @@ from __future__ import annotations
 import importlib
 import re
 import shlex
+from collections import defaultdict
 from collections.abc import Iterator
+from importlib.util import find_spec
 from itertools import pairwise
 from pathlib import Path
 from types import ModuleType
 from typing import Any, NamedTuple
+from xml.etree import ElementTree
 
 import pytest
 import yaml
@@ -32,12 +35,16 @@ FROM_ELSEWHERE = {"/clock", "/parameter_events", "/rosout", "/diagnostics"}
 GIVEN: dict[str, dict[str, Any]] = {
     "bag_player": {"bag": str(REPOSITORY / "bags/rover_rocks")},
     "robot_driver": {"controllers": ["arm_controller: a, b"], "base": "cmd_vel"},
-    "fiducial_localization": {"follow_alignment": True},
+    "fiducial_localization": {
+        "follow_alignment": True,
+        "use_detections": find_spec("apriltag_msgs") is not None,
+    },
     "stereo_range": {"rectify": False},
     "simulator": SMALL,
 }
 STARTED = [(name, GIVEN.get(name, {})) for name in EXECUTABLES]
 STARTED += [("stereo_range", {"source": "depth", "color": True})]
+STARTED += [("next_best_view", {"map_source": "octomap"})]
 
 
 class End(NamedTuple):
@@ -55,6 +62,7 @@ class Inventory(NamedTuple):
 
     ends: list[End]
     services: dict[str, str]  # name with the node's: type
+    rights: dict[str, set[tuple[str, str]]]  # of each node: what it does, and with which name
 
 
 def node_class(name: str) -> type[MonitoredNode]:
@@ -80,7 +88,7 @@ def inventory() -> Iterator[Inventory]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
         graph = Graph()
-        found = Inventory([], {})
+        found = Inventory([], {}, defaultdict(set))
         for name, given in STARTED:
             node = graph.add(node_class(name), **given)
             own, space = f"{graph.namespace}/{name}/", f"{graph.namespace}/"
@@ -93,6 +101,14 @@ def inventory() -> Iterator[Inventory]:
                     topic = short(each.topic if publishes else each.topic_name)
                     kind = type_of(each.msg_type)
                     found.ends.append(End(name, topic, kind, publishes, each.qos_profile))
+                    found.rights[name].add(("publish" if publishes else "subscribe", topic))
+            asks = (("reply", node.services), ("request", node.clients))
+            names = ((what, short(each.srv_name)) for what, those in asks for each in those)
+            found.rights[name] |= {
+                (what, called.replace(f"{name}/", "~/"))
+                for what, called in names
+                if "/_action/" not in called
+            }
             for service in node.services:
                 called = short(service.srv_name).replace("~", name)
                 found.services[f"/{called}"] = type_of(service.srv_type)
@@ -131,6 +147,28 @@ def _types(names: list[str], types: str) -> list[str]:
     """One for all, or one for each."""
     parts = [part.strip().rpartition("/")[2] for part in types.split(",")]
     return parts * len(names) if len(parts) == 1 else [*parts, *parts[:1] * (len(names) - 2)]
+
+
+def test_the_policy_of_sros2_allows_what_nodes_do_and_no_more(inventory: Inventory) -> None:
+    root = ElementTree.parse(REPOSITORY / "config/sros2_policy.xml").getroot()
+    allowed = {
+        profile.attrib["node"]: {
+            (what, name.text)
+            for rule in profile
+            for what in rule.attrib.keys() - {"call"}  # controllers, of each robot its own
+            for name in rule
+        }
+        for profile in root.iter("profile")
+    }
+    assert set(allowed) == set(EXECUTABLES) - {"bag_player", "simulator"}
+    everyone = {("publish", "/rosout"), ("subscribe", "/clock")}
+    unrectified = {("subscribe", f"{side}/image_raw") for side in ("left", "right")}
+    of_depth = {("subscribe", f"{name}/image_rect") for name in ("depth", "rgb")}
+    of_depth |= {("subscribe", "depth/camera_info")}
+    images = unrectified | of_depth
+    others = {"stereo_range": unrectified, "fiducial_localization": images}
+    for node, rights in allowed.items():
+        assert rights == inventory.rights[node] | everyone | others.get(node, set()), node
 
 
 SENSOR_DATA = {"points2", "camera_pose", "camera_pose_uncertainty"}

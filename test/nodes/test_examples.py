@@ -18,6 +18,7 @@ import pytest
 from geometry_msgs.msg import Twist
 
 from infomap_ros.errors import InfomapError
+from infomap_ros.mapping.files.octomap_file import write_bt, write_ot
 from infomap_ros.nodes.fiducial_localization import FiducialLocalizationNode
 from infomap_ros.nodes.next_best_view import NextBestViewNode
 from infomap_ros.nodes.robot_driver import RobotDriverNode
@@ -33,15 +34,14 @@ SECTIONS = dict(
 )  # node: text
 
 
-def program(node: str) -> str:
-    (found,) = re.findall(r"```python\n(.*?)```", SECTIONS[node], re.DOTALL)
-    return str(found)
+def program(node: str, number: int = 0) -> str:
+    return str(re.findall(r"```python\n(.*?)```", SECTIONS[node], re.DOTALL)[number])
 
 
 def start(graph: Any, node_class: Callable[..., Any], **settings: Any) -> Any:
     """The node of a section with what its command gives it, and settings that save time."""
     name = re.sub(r"(?<!^)(?=[A-Z])", "_", node_class.__name__.removesuffix("Node")).lower()
-    (command,) = re.findall(r"^ {4}(ros2 run .*)$", SECTIONS[name], re.MULTILINE)
+    command, *_ = re.findall(r"^ {4}(ros2 run infomap_ros .*)$", SECTIONS[name], re.MULTILINE)
     words = shlex.split(command)
     assert words[:4] == ["ros2", "run", "infomap_ros", name]
     given = words[4:] or None
@@ -49,9 +49,11 @@ def start(graph: Any, node_class: Callable[..., Any], **settings: Any) -> Any:
 
 
 @contextmanager
-def running(graph: Any, node: str, folder: Path) -> Iterator[subprocess.Popen[str]]:
-    """The program of a section as a process in the namespace of the graph."""
-    (folder / "example.py").write_text(program(node), encoding="utf-8")
+def running(
+    graph: Any, node: str, folder: Path, number: int = 0
+) -> Iterator[subprocess.Popen[str]]:
+    """A program of a section as a process in the namespace of the graph."""
+    (folder / "example.py").write_text(program(node, number), encoding="utf-8")
     command = [sys.executable, "example.py", "--ros-args", "-r", f"__ns:={graph.namespace}"]
     with subprocess.Popen(
         command, cwd=folder, env=graph.environment(), stdout=subprocess.PIPE, text=True
@@ -77,9 +79,12 @@ def said(graph: Any, process: subprocess.Popen[str], what: str) -> str:
     return lines[0].strip()
 
 
-@pytest.mark.parametrize("node", SECTIONS)
-def test_an_example_is_at_most_20_lines(node: str) -> None:
-    assert len([line for line in program(node).splitlines() if line]) <= 20
+@pytest.mark.parametrize(
+    "text",
+    [p for part in SECTIONS.values() for p in re.findall(r"```python\n(.*?)```", part, re.S)],
+)
+def test_an_example_is_at_most_20_lines(text: str) -> None:
+    assert len([line for line in text.splitlines() if line]) <= 20
 
 
 class Base(PaperRover):
@@ -137,3 +142,14 @@ def test_a_view_is_planned_on_a_map_that_is_told(graph: Any, tmp_path: Path) -> 
     words = re.match(r"look from (\S+) (\S+) (\S+) m", line)
     assert words is not None
     assert np.abs(np.array(words.groups(), dtype=float)).max() < 10.0
+
+
+@pytest.mark.parametrize("write", [write_ot, write_bt])
+def test_a_file_of_octomap_becomes_the_map(graph: Any, tmp_path: Path, write: Any) -> None:
+    pytest.importorskip("octomap_msgs")
+    seen = PaperRover(graph).looks(-0.8, 0.0, 0.8)
+    write(seen, tmp_path / "hall.ot")
+    node = graph.add(NextBestViewNode, **QUICK, map_source="octomap")
+    with running(graph, "next_best_view", tmp_path, 1):
+        graph.spin_until(lambda: node.health.results(), "the octree", 90.0)
+    assert node._map.voxel_map().known_voxels == seen.known_voxels

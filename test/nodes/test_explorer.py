@@ -42,7 +42,7 @@ class OneView:
         self.asked: list[str] = []
         graph.tester.create_service(Trigger, "next_best_view/plan_arm", self.arm)
         for name in ("plan_home", "plan_back"):
-            graph.tester.create_service(Trigger, f"next_best_view/{name}", partial(self.way, name))
+            graph.tester.create_service(Trigger, f"next_best_view/{name}", partial(self.back, name))
 
     def arm(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         arm = ArmPath(
@@ -57,7 +57,7 @@ class OneView:
         response.message, response.success = choice_to_text(choice), True
         return response
 
-    def way(self, name: str, *call: Any) -> Trigger.Response:
+    def back(self, name: str, *call: Any) -> Trigger.Response:
         self.asked.append(name)
         self.rover.tells_updates = True
         return self.plan(*call)
@@ -148,7 +148,7 @@ def test_mission_from_start_to_done(graph: Any, tmp_path: Path) -> None:
 
 def test_a_lost_camera_goes_back_to_the_last_look_and_not_home(graph: Any, tmp_path: Path) -> None:
     stage = Stage(graph, tmp_path, views=4, autostart=True)
-    graph.spin_until(lambda: len(stage.rover.paths) == 2, "the second way")
+    graph.spin_until(lambda: len(stage.rover.paths) == 2, "the second path")
     stage.rover.tells_updates = False
     stage.spin_to("ended: done")
     assert stage.planner.asked == ["plan_back"]

@@ -36,6 +36,7 @@ from infomap_ros.messages.rows import decode_rows
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.message_types import message_class
 from infomap_ros.nodes.fiducial_localization import FiducialLocalizationNode
+from infomap_ros.nodes.locating import localization_outputs
 from test.nodes.bag_stage import IMAGES, INFOS, MOTION, TYPES, BagStage
 from test.nodes.rovers import CAMERA as ROOM_CAMERA
 from test.nodes.rovers import room_scan, update_messages
@@ -165,11 +166,12 @@ def test_without_odometry_the_camera_itself_is_placed(graph: Any) -> None:
     assert (edge.frame_id, edge.child_frame_id) == ("map", CAMERA)
 
 
-def test_keyframes_and_fiducials_are_told(graph: Any) -> None:
+def test_keyframes_and_fiducials_are_told(graph: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(localization_outputs, "_FIDUCIALS_PERIOD", 0.0)
     keyframes = graph.collect(Path, "keyframe_poses", qos.stream())
     clouds = graph.collect(PointCloud2, "fiducials", qos.latched())
     markers = graph.collect(MarkerArray, "fiducial_markers", qos.latched())
-    stage = Stage(graph, fiducials_period=0.0)
+    stage = Stage(graph)
     stamps = stage.run(4)
     graph.spin_until(lambda: len(clouds) >= 3 and markers and keyframes, "fiducials")
     heard = decode_keyframe_poses(keyframes[-1])

@@ -14,10 +14,10 @@ from std_msgs.msg import String
 
 from infomap_ros.geometry import CameraCalibration, CameraInfoRecord, ImageRecord, PoseRecord
 from infomap_ros.messages import encode_camera_info, encode_image
+from infomap_ros.nodes import doctor
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.message_types import RclpyMessageTypes
-from infomap_ros.nodes.diagnosis import doctor
-from infomap_ros.nodes.diagnosis.doctor import Doctor, main
+from infomap_ros.nodes.doctor import Doctor, main
 
 FRAME = "left_optical_frame"
 

@@ -15,12 +15,12 @@ from infomap_ros.messages import TF, decode_transforms, encode_transforms
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.common.message_types import RclpyMessageTypes, message_class
-from infomap_ros.nodes.locating.localization_news import CameraRoot
-from infomap_ros.nodes.locating.odom_frame import (
+from infomap_ros.nodes.locating.base_topics import (
     MapFrameConfig,
     OdomFrameBroadcaster,
     frame_publisher,
 )
+from infomap_ros.nodes.locating.localization_outputs import CameraRoot
 from infomap_ros.nodes.simulated.simulator_outputs import SimulatorFrames
 from infomap_ros.nodes.team.team_topics import OWN_FRAMES
 

@@ -215,7 +215,7 @@ def test_a_region_across_the_way_stops_the_robot_with_the_reason(
         mission_file=str(tmp_path / "mission.json"),
         log_file=str(tmp_path / "run.jsonl"),
     )
-    graph.spin_until(lambda: stage.rover.paths, "a way of the base", timeout=90.0)
+    graph.spin_until(lambda: stage.rover.paths, "a path of the base", timeout=90.0)
     sent = stage.node._planner.planner.motion._sent
     assert sent is not None and sent.moves_base
 

@@ -113,7 +113,7 @@ def test_frames_that_flood_tf_do_not_silence_the_others() -> None:
     heard: list[TransformRecord] = []
     node = StubNode()
     listener = FrameListener(node, heard.append)  # type: ignore[arg-type]
-    listener.hear_moving()
+    listener.listen_to_moving()
     with pytest.raises(MalformedMessageError, match="10001 transforms"):
         flood = [edge(f"junk{number}") for number in range(10_001)]
         node.receive["/tf_static"](SimpleNamespace(transforms=flood))
@@ -151,7 +151,7 @@ def test_the_first_ten_thousand_frames_do_not_silence_a_later_one() -> None:
     """What is used, or told again, stays known too."""
     node, heard, tree = StubNode(), [], TransformTree()
     listener = FrameListener(node, lambda edge: (heard.append(edge), tree.add_transform(edge)))  # type: ignore[arg-type]
-    listener.hear_moving()
+    listener.listen_to_moving()
     node.give("/tf_static", SimpleNamespace(transforms=[edge("mount"), edge("idle")]))
     for batch in range(25):
         for topic in ("/tf", "/tf_static"):
@@ -228,7 +228,7 @@ def test_a_joint_that_falls_silent_is_named_while_others_go_on() -> None:
             assert not node.health.complaints()  # grippers are told of on change
             assert node.health.values()["silent joints"] == "gripper"
             position = [np.nan, 0.0]  # an encoder has failed
-    assert node.health.complaints() == ["nothing is told of joint j any more"]
+    assert node.health.complaints() == ["nothing comes of joint j any more"]
     names, position = ["j", "gripper", "wheel"], [0.0, 0.0, 0.0]
     node.give("joint_states", JointState(name=names, position=position))
     assert not node.health.complaints()

@@ -8,12 +8,14 @@ import time
 from pathlib import Path
 from typing import Any, ClassVar
 
+import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from infomap_ros.cli.command_options import with_settings
+from infomap_ros.exploration.mission import Mission
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
@@ -76,7 +78,7 @@ def by_nodes(out: Path, graph: Any, run: ExplorationRun) -> tuple[list[dict[str,
     own: dict[str, dict[str, object]] = {
         "simulator": {"world": "mars", "world_seed": 2, "world_size": 4.5, "seed": 2, **CAMERA}
         | {"state_file": ""},
-        "fiducial_localization": {"state_file": "", "fiducials_period": 0.0},
+        "fiducial_localization": {"state_file": ""},
         "map_fusion": {"max_range": RANGE, "map_file": str(out / "map.infomap"), "threads": 1}
         | {"waiting.max_wait": 1.0, "autosave_period": 0.0},
         "next_best_view": {**area, **PLANNER, "max_range": RANGE},
@@ -125,6 +127,8 @@ def test_the_nodes_choose_and_map_as_the_exploration_in_one_process(
     assert sum(entry["kind"] == "decision" for entry in first) == VIEWS
     assert second == first
     assert second_map == first_map
+    seconds = Mission.load(tmp_path / "nodes" / "mission.json").seconds
+    assert seconds == pytest.approx(run.simulator.time, abs=2.0), "the robot's, not the machine's"
 
 
 class Listener(MonitoredNode):

@@ -14,7 +14,6 @@ from sensor_msgs.msg import PointCloud2
 from visualization_msgs.msg import MarkerArray
 
 from infomap_ros.errors import UpdateRefusedError
-from infomap_ros.exploration.team.teammate_places import TeammatePlacesConfig
 from infomap_ros.geometry import (
     PinholeCamera,
     PoseRecord,
@@ -41,7 +40,7 @@ from infomap_ros.nodes.team.map_moves import (
 )
 from infomap_ros.nodes.team.team_topics import TeamIdentityConfig
 from infomap_ros.team.agent_board import agent_to_text
-from infomap_ros.team.agents import Agent, AgentBoardConfig
+from infomap_ros.team.agents import Agent
 from infomap_ros.team.membership import NOT_AUTHENTIC, TeamKey
 from test.localization.tag_scenes import BoardView, pose_error, seen_from
 from test.nodes.test_fiducial_localization import Stage
@@ -54,7 +53,6 @@ TAGS: dict[str, Any] = {
     "team_tags__robots": [1, 2],
     "team_tags__ids": [4, 5],
     "team_tags__poses": [*map(float, TAG), *map(float, TAG)],
-    "team_tags__sightings": 3,
 }
 T_THEIRS_MINE = perturb_transform(np.eye(4), [4.0, 1.0, 0.0, 0.0, 0.0, 0.7])
 
@@ -64,8 +62,6 @@ class SightNode(MonitoredNode):
 
     CONFIGS = (
         (TeamTagsConfig, "team_tags."),
-        (TeammatePlacesConfig, "teammates."),
-        (AgentBoardConfig, "agents."),
         (TeamIdentityConfig, ""),
         (RobotTrackerConfig, ""),
     )
@@ -73,8 +69,13 @@ class SightNode(MonitoredNode):
     def __init__(self, *, stays: bool = False, **arguments: Any) -> None:
         super().__init__("sight", **arguments)
         self.moves: list[PoseRecord] = []
+        self.origins: list[int] = []
         self.worker = self.start_worker(10)
-        self.sight = TeammateSight(self, self.worker, self.moves.append, stays=stays)
+        self.sight = TeammateSight(self, self.worker, self._note, stays=stays)
+
+    def _note(self, move: PoseRecord, origin: int) -> None:
+        self.moves.append(move)
+        self.origins.append(origin)
 
 
 class Meeting:
@@ -94,7 +95,7 @@ class Meeting:
         self.version = self.said = 0
         self.base = np.eye(4)
 
-    def meet(self, stamp: int, T_theirs_mine: np.ndarray) -> None:
+    def meet(self, stamp: int, T_theirs_mine: np.ndarray, origin: int = 0) -> None:
         """See the teammate, and then hear from it where it was."""
         T_camera_print = seen_from(PRINT, 1.1, 0.5, self.rng)
         view = BoardView(PRINT, T_camera_print, self.rng, range_sigma=0.004)
@@ -110,7 +111,7 @@ class Meeting:
             camera = PinholeCamera(64, 48, 45.0, 45.0, 31.5, 23.5)
             agent = Agent(
                 2, 7, self.version, at, at, base, base, 1e-6 * np.eye(6), camera, 4.0, "looking",
-                description="/rover2/robot_description",
+                description="/rover2/robot_description", origin=origin,
             )  # fmt: skip
             text = agent_to_text(agent, self.key)
             message = encode_agent(TYPES, "map", agent, text, 2.0)
@@ -130,11 +131,11 @@ def test_of_two_robots_the_one_with_the_larger_id_moves_its_map(
     graph: Any, rng: np.random.Generator
 ) -> None:
     meeting = Meeting(graph, 3, rng)
-    for number in range(3):
+    for number in range(4):
         meeting.meet((10 + number) * SECOND, T_THEIRS_MINE)
     graph.spin_until(lambda: meeting.node.moves, "the move")
     (move,) = meeting.node.moves
-    assert move.stamp == 12 * SECOND and move.covariance is not None
+    assert move.stamp == 13 * SECOND and move.covariance is not None
     check(move.transform, move.covariance, T_THEIRS_MINE)
     assert not meeting.told
 
@@ -145,13 +146,13 @@ def test_the_other_one_tells_its_teammate(
 ) -> None:
     (tmp_path / "key").write_text(secret)
     meeting = Meeting(graph, 1, rng, str(tmp_path / "key") if secret else "")
-    for number in range(3):
+    for number in range(4):
         meeting.meet((10 + number) * SECOND, T_THEIRS_MINE)
     graph.spin_until(lambda: meeting.told, "the message")
     message, key = meeting.told[0], meeting.key
     assert message.header.frame_id == "map"
     move = decode_pose_with_covariance(message) if key is None else read_signed(message, key, 2)
-    assert (move.frame_id, move.stamp) == ("map", 12 * SECOND)
+    assert (move.frame_id, move.stamp) == ("map", 13 * SECOND)
     assert move.covariance is not None
     check(move.transform, move.covariance, invert_transform(T_THEIRS_MINE))
     assert not meeting.node.moves
@@ -166,6 +167,24 @@ def test_words_that_no_robot_can_say_next_are_not_believed(
     meeting.meet(11 * SECOND, T_THEIRS_MINE)
     refused = {"version far ahead": 2}
     graph.spin_until(lambda: meeting.node.health.drops() == refused, "both words to be refused")
+
+
+def test_maps_of_two_origins_are_joined_however_near_they_are(
+    graph: Any, rng: np.random.Generator
+) -> None:
+    meeting, theirs = Meeting(graph, 1, rng), 1 << 16 | 5
+    meeting.node.sight.origin = 3 << 16  # begun by robot 3, so that the smaller id moves
+    assert meeting.node.sight.search == "looking"
+    for number in range(3):
+        meeting.meet((10 + number) * SECOND, np.eye(4), theirs)
+    assert meeting.node.sight.bodies(12 * SECOND) == []  # nobody knows where that is
+    graph.spin_until(lambda: meeting.node.sight.search == "seen", "the sighting")
+    meeting.meet(13 * SECOND, np.eye(4), theirs)
+    graph.spin_until(lambda: meeting.node.moves, "the move")
+    assert meeting.node.origins == [theirs] and meeting.node.sight.other_origin() == theirs
+    meeting.node.sight.origin = theirs
+    assert meeting.node.sight.search == ""
+    graph.spin_until(lambda: meeting.node.sight.bodies(13 * SECOND), "the teammate")
 
 
 def test_robots_with_one_map_move_nothing(graph: Any, rng: np.random.Generator) -> None:

@@ -34,12 +34,14 @@ from infomap_ros.mapping import (
     VoxelMap,
     VoxelMapConfig,
 )
+from infomap_ros.mapping.files.export import obstacle_distances
 from infomap_ros.messages import encode, encode_point_cloud, encode_pose
 from infomap_ros.messages.rows import decode_rows, encode_rows
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.message_types import RclpyMessageTypes
+from infomap_ros.nodes.fusion import map_outputs
 from infomap_ros.nodes.map_fusion import MapFusionNode
-from infomap_ros.team.config import TeamConfig
+from infomap_ros.team import reconciler
 from infomap_ros.team.member import TeamMember
 from infomap_ros.team.membership import TeamKey
 from infomap_ros.team.update import MapUpdate, version_at
@@ -68,6 +70,11 @@ def pose(stamp: int = START, frame: str = "map", covariance: Any = COVARIANCE) -
 
 def stamp_of(message: Any) -> int:
     return message.header.stamp.sec * SECOND + message.header.stamp.nanosec
+
+
+@pytest.fixture(autouse=True)
+def _many_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(map_outputs, "_PERIOD", 0.05)
 
 
 class Bench:
@@ -167,7 +174,7 @@ def test_updates_are_the_map_that_the_library_makes_of_the_same_scans(graph: Any
 
 
 def test_a_wall_at_two_meters_is_in_voxel_map_and_projected_map(graph: Any) -> None:
-    bench = Bench(graph, voxel_map_period=0.05, projection__low=0.5, projection__high=1.5)
+    bench = Bench(graph, projection__low=0.5, projection__high=1.5)
     clouds = graph.collect(PointCloud2, "voxel_map", qos.latched())
     grids = graph.collect(OccupancyGrid, "projected_map", qos.latched())
     bench.send(pose(), cloud())
@@ -192,8 +199,88 @@ def test_a_wall_at_two_meters_is_in_voxel_map_and_projected_map(graph: Any) -> N
     assert 0 <= cells[row, int((1.0 - origin.x) / 0.1)] < 40
 
 
+def distance_at(message: PointCloud2, x: float, y: float, z: float) -> float:
+    """The distance of the voxel of 0.1 m that holds a point, NaN where there is none."""
+    rows = decode_rows(message)[2]
+    offsets = np.stack([rows["x"] - x, rows["y"] - y, rows["z"] - z])
+    (held,) = np.nonzero((np.abs(offsets) < 0.0501).all(axis=0))
+    return float(rows["intensity"][held[0]]) if len(held) else np.nan
+
+
+def test_distances_to_a_wall_follow_the_wall(graph: Any) -> None:
+    bands = {"projection__low": 0.5, "projection__high": 1.5}
+    bench = Bench(graph, distances__limit=0.7, **bands)
+    team = graph.publisher(PointCloud2, "team/map_updates")
+    graph.connect(team)
+    fields = graph.collect(PointCloud2, "distance_field", qos.latched())
+    slices = graph.collect(PointCloud2, "distance_slice", qos.latched())
+    bench.send(pose(), cloud(START, 2.05))
+    graph.spin_until(lambda: fields and slices, "distances")
+    for message in (fields[-1], slices[-1]):
+        _, frame, rows = decode_rows(message)
+        assert (stamp_of(message), frame) == (START, "map")
+        assert rows.dtype.names == ("x", "y", "z", "intensity")
+        assert rows["intensity"].max() == np.float32(0.7)
+        for x, meters in ((1.05, 0.7), (1.55, 0.45), (1.75, 0.25), (2.05, 0.0)):
+            assert distance_at(message, x, 0.05, 1.05) == pytest.approx(meters, abs=1e-5)
+        assert np.isnan(distance_at(message, 2.55, 0.05, 1.05)), "behind the wall"
+    assert len(np.unique(decode_rows(fields[-1])[2]["z"])) > 5
+    np.testing.assert_allclose(decode_rows(slices[-1])[2]["z"], 1.0)
+
+    later = START + SECOND // 2
+    bench.send(cloud(later, frame="elsewhere"))
+    bench.wait_for_drop("wrong frame")
+    bench.send(pose(later), cloud(later, 1.35))
+
+    def nearer(messages: list[PointCloud2]) -> bool:
+        return distance_at(messages[-1], 1.05, 0.05, 1.05) == pytest.approx(0.25, abs=1e-5)
+
+    graph.spin_until(lambda: nearer(fields) and nearer(slices), "distances to the nearer wall")
+    assert {stamp_of(fields[-1]), stamp_of(slices[-1])} == {later}
+    (message,) = other_robot(7, [20])
+    team.publish(message)
+    graph.spin_until(
+        lambda: distance_at(fields[-1], 10.05, 0.05, 0.05) == 0.0, "what another robot saw"
+    )
+
+
+def test_distances_leave_the_thread_of_the_map_most_of_its_time(
+    graph: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begun: list[float] = []
+
+    def slow(*arguments: Any) -> Any:
+        begun.append(time.monotonic())
+        time.sleep(0.2)
+        return obstacle_distances(*arguments)
+
+    monkeypatch.setattr("infomap_ros.nodes.fusion.map_outputs.obstacle_distances", slow)
+    bench = Bench(graph)
+    for step in range(3):  # nobody listens
+        bench.send(pose(START + step), cloud(START + step))
+    bench.wait_for_results(3)
+    graph.collect(PointCloud2, "voxel_map", qos.latched())
+    assert not begun
+    graph.collect(PointCloud2, "distance_slice", qos.latched())
+    sent = time.monotonic()
+    stamp = START + SECOND
+
+    def scans_come() -> bool:
+        nonlocal sent, stamp
+        if time.monotonic() > sent + 0.1:
+            sent, stamp = time.monotonic(), stamp + SECOND // 10
+            bench.send(pose(stamp), cloud(stamp))
+        return len(begun) >= 3
+
+    graph.spin_until(scans_come, "three slices")
+    assert (np.diff(begun) >= 1.0).all()
+    bench.node._keeper.outputs._pictures["distance_slice"].rests_until = np.inf
+    graph.collect(PointCloud2, "distance_slice", qos.latched())
+    graph.spin_until(lambda: len(begun) > 3, "a slice for a new subscriber")
+
+
 def test_who_comes_late_gets_the_voxel_map(graph: Any) -> None:
-    bench = Bench(graph, voxel_map_period=0.05)
+    bench = Bench(graph)
     bench.send(pose(), cloud())
     bench.wait_for_results(1)
 
@@ -275,7 +362,7 @@ def other_robot(version: int, odds: Sequence[int], **changes: Any) -> list[Point
 
 
 def test_the_grid_shows_what_other_robots_saw_and_the_updates_do_not(graph: Any) -> None:
-    bench = Bench(graph, voxel_map_period=0.05, projection__low=0.0, projection__high=2.0)
+    bench = Bench(graph, projection__low=0.0, projection__high=2.0)
     team = graph.publisher(PointCloud2, "team/map_updates")
     graph.connect(team)
     grids = graph.collect(OccupancyGrid, "projected_map", qos.latched())
@@ -363,13 +450,14 @@ def test_what_is_not_signed_with_the_team_key_is_dropped(graph: Any, tmp_path: P
     assert len(decode_update(key.verify(decode_rows(signed)[2])).indices)
 
 
-def test_what_was_missed_is_asked_for_and_told(graph: Any) -> None:
+def test_what_was_missed_is_asked_for_and_told(graph: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(reconciler, "_SUMMARY_PERIOD", 0.1)
     bench = Bench(graph)
-    mate = TeamMember(9, 1, 50, VoxelMapConfig(voxel_size=0.1), TeamConfig(summary_period=0.1))
+    mate = TeamMember(9, 1, 50, VoxelMapConfig(voxel_size=0.1))
     seen = expected_map(cloud())
     seen.track_changes(True)
     mate.replace(seen)
-    first = mate.tell(seen, 0.0)
+    first = mate.updates(seen, 0.0)
     publishers = [
         graph.publisher(PointCloud2, topic) for topic in ("team/map_updates", "team/digests")
     ]
@@ -379,9 +467,9 @@ def test_what_was_missed_is_asked_for_and_told(graph: Any) -> None:
     def catches_up() -> bool:
         now = time.monotonic()
         for message in requests:
-            mate.hear_request(decode_rows(message)[2], now)
+            mate.receive_request(decode_rows(message)[2], now)
         requests.clear()
-        told = mate.tell(seen, now)
+        told = mate.updates(seen, now)
         for publisher, messages in zip(publishers, (told, mate.digests(now)), strict=True):
             for rows in messages:
                 publisher.publish(encode_rows(TYPES, START, "map", rows))
@@ -700,7 +788,7 @@ def test_an_empty_map_takes_nothing_from_its_file(graph: Any, tmp_path: Path) ->
 
 
 def test_who_comes_late_gets_the_map_as_it_is_and_none_from_before(graph: Any) -> None:
-    bench = Bench(graph, voxel_map_period=0.05)
+    bench = Bench(graph)
     early = graph.collect(PointCloud2, "voxel_map", qos.latched())
     bench.send(pose(), cloud())
     graph.spin_until(lambda: early, "the first picture")

@@ -14,8 +14,9 @@ from infomap_ros.errors import ConfigError
 from infomap_ros.exploration.task import TaskConfig
 from infomap_ros.exploration.view_planner_config import ViewPlannerConfig
 from infomap_ros.geometry.config import check_config, parameter
-from infomap_ros.localization.fiducials.selection import FiducialSelectionConfig
-from infomap_ros.localization.localizer_config import LocalizerConfig
+from infomap_ros.localization.target.config import TargetConfig
+from infomap_ros.localization.target.tag_board import TagBoardConfig
+from infomap_ros.localization.target.tag_detector import TagTargetConfig
 from infomap_ros.nodes.common.parameters import declare_config, is_settable, parameter_values
 from infomap_ros.nodes.explorer import ExplorerNode
 from infomap_ros.nodes.next_best_view import NextBestViewNode
@@ -92,14 +93,13 @@ def test_a_prefix_keeps_configurations_apart(graph: Any) -> None:
 
 
 def test_the_values_of_a_configuration_declare_it_again(graph: Any) -> None:
-    config = LocalizerConfig(
-        wanted_fiducials=90, selection=FiducialSelectionConfig(depth_windows=(5, 7))
-    )
-    values = parameter_values(config, "localizer.")
-    assert values["localizer.wanted_fiducials"] == 90
-    assert values["localizer.selection.depth_windows"] == [5, 7]
+    pose, board = (1.0, 2.0, 0.5, 0.0, 0.0, 0.3), TagBoardConfig(columns=3)
+    config = TargetConfig(pose_in_map=pose, tags=TagTargetConfig(board=board))
+    values = parameter_values(config, "target.")
+    assert values["target.pose_in_map"] == list(pose)
+    assert values["target.tags.board.columns"] == 3
     node = graph.add(Node, "configured", **{k.replace(".", "__"): v for k, v in values.items()})
-    assert declare_config(node, LocalizerConfig, "localizer.") == config
+    assert declare_config(node, TargetConfig, "target.") == config
 
 
 def test_a_new_value_is_judged_by_the_configuration_that_judges_the_first_one(graph: Any) -> None:

@@ -33,7 +33,7 @@ PARAMETERS: dict[str, dict[str, Any]] = {
         "reaching.collision.tolerance": 0.03,
         "start_clearance": 1.2,
     },
-    "explorer": {**TASK, "scans_per_view": 1},
+    "explorer": TASK,
 }
 NODES = ("stereo_range", "map_fusion", "next_best_view", "explorer", "simulator")
 TIMEOUT = 300.0  # [s]; kernels may have to be compiled

@@ -86,6 +86,13 @@ class Bench:
         return found()[0]
 
 
+def spin_for(graph: Any, seconds: float) -> None:
+    """Serve callbacks for a while."""
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        graph.executor.spin_once(timeout_sec=0.05)
+
+
 class ArmBench(Bench):
     """With the two controllers of the rover's arm."""
 
@@ -123,8 +130,11 @@ def test_each_controller_moves_its_own_joints_and_says_so(graph: Any) -> None:
 
 
 @NEEDS_ACTIONS
-def test_a_controller_that_aborts_stops_the_others_and_is_quoted(graph: Any) -> None:
-    bench = ArmBench(graph, goal_time=0.2)
+def test_a_controller_that_aborts_stops_the_others_and_is_quoted(
+    graph: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(arm_driver, "_GOAL_TIME", 0.2)
+    bench = ArmBench(graph)
     bench.wrist.stuck.add("arm_wrist_joint")
     bench.arm.slower = 1e3  # it is under way when the wrist aborts
     knots = np.array([[0.1, 0.1], [0.3, 0.1], [0.3, 1.0]])
@@ -175,19 +185,19 @@ def test_a_trajectory_sent_in_motion_begins_with_the_velocity_of_the_joints(grap
 
 
 @NEEDS_ACTIONS
-@pytest.mark.parametrize("way", ["empty trajectory", "service", "end of the node"])
-def test_a_stop_cancels_the_goals(graph: Any, way: str) -> None:
+@pytest.mark.parametrize("means", ["empty trajectory", "service", "end of the node"])
+def test_a_stop_cancels_the_goals(graph: Any, means: str) -> None:
     bench = ArmBench(graph)
     stop = graph.tester.create_client(Trigger, "robot_driver/stop")
     bench.move(("arm_wrist_joint", "arm_pan_joint"), [1.0, 1.0], 5.0, "long")
     graph.spin_until(lambda: bench.arm.moves and bench.wrist.moves, "motion")
     goals = bench.node._drivers[0]._carrier._motions._motion.goals
     graph.spin_until(lambda: all(goal._handle is not None for goal in goals), "answers")
-    if way == "end of the node":
+    if means == "end of the node":
         graph.executor.remove_node(bench.node)
         graph.nodes.remove(bench.node)
         bench.node.destroy_node()
-    elif way == "service":
+    elif means == "service":
         graph.spin_until(stop.service_is_ready, "service")
         stop.call_async(Trigger.Request())
     else:
@@ -195,7 +205,7 @@ def test_a_stop_cancels_the_goals(graph: Any, way: str) -> None:
     graph.spin_until(lambda: not (bench.arm.moves or bench.wrist.moves), "stop")
     assert (bench.arm.canceled, bench.wrist.canceled) == (1, 1)
     assert bench.arm.joints["arm_pan_joint"] < 0.9
-    if way != "end of the node":
+    if means != "end of the node":
         assert bench.result("long").outcome is Outcome.CANCELED
 
 
@@ -252,7 +262,8 @@ def test_a_server_that_never_answers_stops_the_others_and_is_stopped_when_it_doe
 @NEEDS_ACTIONS
 def test_a_goal_without_a_result_is_stopped(graph: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(arm_driver, "_SLACK", 0.3)
-    bench = ArmBench(graph, goal_time=0.2)
+    monkeypatch.setattr(arm_driver, "_GOAL_TIME", 0.2)
+    bench = ArmBench(graph)
     bench.arm.slower = 1e6
     bench.move(("arm_pan_joint",), [0.3], 0.3, "endless")
     result = bench.result("endless")
@@ -360,6 +371,19 @@ def test_a_plugin_that_nav2_does_not_have_is_quoted(
 
 
 @NEEDS_ACTIONS
+def test_a_stop_cancels_nothing_that_is_commanded_after_it(graph: Any) -> None:
+    bench = Nav2Bench(graph)
+    spin_for(graph, 0.5)
+    graph.executor.remove_node(graph.tester)  # servers take what they are asked later, all at once
+    bench.drive()
+    sent = bench.drive((0, 0, 0), (1, 0, 0))
+    spin_for(graph, 0.5)
+    graph.executor.add_node(graph.tester)
+    assert bench.result(sent).outcome is Outcome.SUCCEEDED
+    assert bench.nav2.canceled == 0
+
+
+@NEEDS_ACTIONS
 def test_an_abort_of_nav2_is_quoted_by_name(graph: Any) -> None:
     bench = Nav2Bench(graph)
     bench.nav2.blocked = True
@@ -384,10 +408,9 @@ def test_a_newer_path_and_an_empty_one_end_the_one_before(graph: Any) -> None:
 
 @NEEDS_ACTIONS
 def test_a_navigator_gets_the_poses_of_the_path(graph: Any) -> None:
-    bench = Nav2Bench(graph, "navigate_through_poses", behavior_tree="tree.xml")
-    way = [(x, 0.0, 0.0) for x in np.linspace(0.0, 2.0, 21)]
-    assert bench.result(bench.drive(*way)).outcome is Outcome.SUCCEEDED
-    assert bench.nav2.requests[0].behavior_tree == "tree.xml"
+    bench = Nav2Bench(graph, "navigate_through_poses")
+    path = [(x, 0.0, 0.0) for x in np.linspace(0.0, 2.0, 21)]
+    assert bench.result(bench.drive(*path)).outcome is Outcome.SUCCEEDED
     np.testing.assert_allclose(bench.nav2.goals[0][:, 0], [0.5, 1.0, 1.5, 2.0], atol=0.051)
 
 
@@ -478,8 +501,8 @@ def test_a_missing_package_is_named_with_how_to_get_it() -> None:
 
 
 @NEEDS_ACTIONS
-@pytest.mark.parametrize("way", ["start of the node", "empty trajectory", "service"])
-def test_what_a_killed_driver_began_is_stopped_too(graph: Any, way: str) -> None:
+@pytest.mark.parametrize("means", ["start of the node", "empty trajectory", "service"])
+def test_what_a_killed_driver_began_is_stopped_too(graph: Any, means: str) -> None:
     """The goal is another client's, as that of a driver that was killed is to its successor."""
     arm = TrajectoryController(graph, "arm_controller", dict.fromkeys(ARM, 0.1))
     action = action_class(FOLLOW_JOINT_TRAJECTORY)
@@ -490,7 +513,7 @@ def test_what_a_killed_driver_began_is_stopped_too(graph: Any, way: str) -> None
         table = [f"arm_controller: {', '.join(ARM)}"]
         return graph.add(RobotDriverNode, base="none", controllers=table)
 
-    driver = None if way == "start of the node" else start_driver()
+    driver = None if means == "start of the node" else start_driver()
     if driver is not None:
         motions = driver._drivers[0]._carrier._motions
         graph.spin_until(lambda: not motions._new, "the first cancel of all")
@@ -501,7 +524,7 @@ def test_what_a_killed_driver_began_is_stopped_too(graph: Any, way: str) -> None
     graph.spin_until(lambda: arm.moves, "motion")
     if driver is None:
         start_driver()
-    elif way == "service":
+    elif means == "service":
         stop = graph.tester.create_client(Trigger, "robot_driver/stop")
         graph.spin_until(stop.service_is_ready, "the service")
         stop.call_async(Trigger.Request())

@@ -60,7 +60,7 @@ def test_a_box_on_the_way_stops_the_robot_with_the_reason(graph: Any, tmp_path: 
         mission_file=str(tmp_path / "mission.json"),
         log_file=str(tmp_path / "run.jsonl"),
     )
-    graph.spin_until(lambda: stage.rover.paths, "a way of the base", timeout=90.0)
+    graph.spin_until(lambda: stage.rover.paths, "a path of the base", timeout=90.0)
     assert {state.level for state in states} == {DiagnosticStatus.OK}
     sent = stage.node._planner.planner.motion._sent
     assert sent is not None and sent.moves_base

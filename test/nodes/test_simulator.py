@@ -221,9 +221,9 @@ def test_it_moves_by_actions_through_robot_driver(graph: Any) -> None:
     graph.spin_until(lambda: all(client.server_is_ready() for client in clients), "servers")
     graph.spin_until(lambda: driver._drivers[0]._joints._limits, "description")
     x, y, yaw = planar(decode_odometry(bench.odometry[-1]).transform)
-    way = [(x, y, yaw), (x + 0.2 * np.cos(yaw), y + 0.2 * np.sin(yaw), yaw)]
+    poses = [(x, y, yaw), (x + 0.2 * np.cos(yaw), y + 0.2 * np.sin(yaw), yaw)]
     before = bench.base()
-    bench.commands["base_path"].publish(encode_base_path(TYPES, 7, "odom", np.array(way)))
+    bench.commands["base_path"].publish(encode_base_path(TYPES, 7, "odom", np.array(poses)))
     graph.spin_until(lambda: results, "the result of the path")
     assert (results[0].stamp, results[0].outcome) == (7, Outcome.SUCCEEDED), results
     assert np.linalg.norm((bench.base() - before)[:2]) == pytest.approx(0.2, abs=0.05)

@@ -10,9 +10,10 @@ from nav_msgs.msg import Path
 
 from infomap_ros.errors import ConfigError
 from infomap_ros.messages.motions import encode_base_path
+from infomap_ros.nodes import simulator
 from infomap_ros.nodes.common.message_types import RclpyMessageTypes
 from infomap_ros.nodes.simulator import SimulatorNode
-from infomap_ros.simulation.multi_robot.turns import SharedTime
+from infomap_ros.simulation.turns import SharedTime
 
 SMALL = {
     "world": "office",
@@ -21,12 +22,11 @@ SMALL = {
     "images_while_moving": False,
     "publish_tf": False,
     "pace": 0.0,
-    "time_window": 0.2,
-    "teammate_silence": 2.0,
 }
 
 
-def test_two_robots_in_one_world(graph: Any) -> None:
+def test_two_robots_in_one_world(graph: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(simulator, "_SILENCE", 2.0)
     base, names = graph.namespace, ("one", "two")
     nodes = {}
     for name, mate, y in ((*names, 0.5), (*reversed(names), -0.5)):
@@ -40,8 +40,8 @@ def test_two_robots_in_one_world(graph: Any) -> None:
 
     drive = graph.publisher(Path, f"{base}/one/base_path")
     graph.connect(drive)
-    way = np.array([(0.0, 0.0, 0.0), (0.4, 0.0, 0.0)])
-    drive.publish(encode_base_path(RclpyMessageTypes(), 0, "odom", way))
+    path = np.array([(0.0, 0.0, 0.0), (0.4, 0.0, 0.0)])
+    drive.publish(encode_base_path(RclpyMessageTypes(), 0, "odom", path))
     apart: list[float] = []
 
     def arrived() -> bool:
@@ -63,7 +63,7 @@ def test_two_robots_in_one_world(graph: Any) -> None:
 def test_nobody_runs_ahead_and_who_was_away_skips() -> None:
     shared = SharedTime(window=0.1, silence=5.0)
     assert shared.may_step(100.0, now=0.0)
-    shared.hear("other", 10.0, now=0.0)
+    shared.receive("other", 10.0, now=0.0)
     assert shared.may_step(10.05, now=1.0)
     assert not shared.may_step(10.11, now=1.0)
     assert shared.may_step(10.11, now=5.5)

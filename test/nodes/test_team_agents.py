@@ -17,6 +17,7 @@ from infomap_ros.messages import encode_text
 from infomap_ros.messages.agents import decode_agent_texts, encode_agent
 from infomap_ros.motion.robot.urdf import hash_of_description
 from infomap_ros.nodes.common import qos
+from infomap_ros.team import agent_board
 from infomap_ros.team.agent_board import agent_from_text, agent_to_text
 from infomap_ros.team.agents import Agent
 from infomap_ros.team.membership import NOT_AUTHENTIC, NOT_LISTED, TeamKey
@@ -195,8 +196,11 @@ def test_the_wait_ends_and_a_larger_body_is_cut(graph: Any) -> None:
     assert "2 (place not sure)" in wall.bench.node.health.values()["teammates in scans"]
 
 
-def test_who_was_forgotten_and_is_back_is_still_what_it_was(graph: Any) -> None:
-    wall = Wall(graph, agents__silence=0.1, agents__memory=0.1)
+def test_who_was_forgotten_and_is_back_is_still_what_it_was(
+    graph: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(agent_board, "_MEMORY", 0.1)
+    wall = Wall(graph)
     wall.tell(-100, 1)
     wall.wait_until_described()
     inputs = wall.bench.node._inputs
@@ -206,14 +210,6 @@ def test_who_was_forgotten_and_is_back_is_still_what_it_was(graph: Any) -> None:
     )
     wall.tell(0, 2)
     wall.wait_until_described()
-
-
-def test_what_robots_tell_of_themselves_need_not_count(graph: Any) -> None:
-    bench = Bench(graph, remove_teammates=False)
-    agents = graph.tester.resolve_topic_name("team/agents")
-    assert graph.tester.count_subscribers(agents) == 0
-    bench.send(pose(), cloud())
-    bench.wait_for_results(1)
 
 
 def test_a_description_that_a_teammate_has_not_told_is_not_read(graph: Any) -> None:

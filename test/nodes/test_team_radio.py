@@ -99,7 +99,7 @@ def test_a_digest_with_a_repeated_block_is_one_bad_message(graph: Any) -> None:
     digests.publish(encode_rows(RclpyMessageTypes(), 0, "map", cells.encode(1400)[0]))
 
     graph.spin_until(lambda: node.health.drops() == {"invalid data": 1}, "the drop")
-    assert ask(graph).message == "team: no other robot was heard"  # still serves
+    assert ask(graph).message == "team: no other robot has reported"  # still serves
 
 
 def test_messages_of_the_team_get_lost_and_no_others() -> None:

@@ -44,13 +44,13 @@ member = TeamMember(robot, robot, 1000, config, sharing)
 rclpy.init()
 node = rclpy.create_node(f"robot_{robot}")
 best_effort = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
-hear = {
-    "map_updates": member.hear_update,
-    "digests": member.hear_digest,
-    "requests": member.hear_request,
+handlers = {
+    "map_updates": member.receive_update,
+    "digests": member.receive_digest,
+    "requests": member.receive_request,
 }
 speak = {}
-for topic, listen in hear.items():
+for topic, listen in handlers.items():
     def receive(message, listen=listen):
         listen(decode_rows(message)[2], time.monotonic())
     node.create_subscription(PointCloud2, f"team/{topic}", receive, best_effort)
@@ -58,12 +58,12 @@ for topic, listen in hear.items():
 while not all(publisher.get_subscription_count() > 1 for publisher in speak.values()):
     rclpy.spin_once(node, timeout_sec=0.05)
 print("connected", flush=True)
-told = 0.0
+spoken = 0.0
 while True:
     now = time.monotonic()
-    messages = {"map_updates": member.tell(own, now)}
-    if now - told > sharing.digest_period:
-        told = now
+    messages = {"map_updates": member.updates(own, now)}
+    if now - spoken > sharing.digest_period:
+        spoken = now
         messages |= {"digests": member.digests(now), "requests": member.requests(now)}
         print(f"{member.replica.hash():x} {len(member.replica.robots)}", flush=True)
     for topic, parts in messages.items():

@@ -1,4 +1,4 @@
-"""robot_driver is killed or hangs while arm and base move: both stop, and nobody answers for it."""
+"""What commands a moving arm and base is killed or hangs: both stop, and nobody answers for it."""
 
 from __future__ import annotations
 
@@ -88,6 +88,36 @@ def test_the_robot_stops_when_its_driver_is_gone(
     finally:
         moving.process.kill()
         moving.process.wait()
+
+
+@NEEDS_ACTIONS
+@pytest.mark.parametrize("fault", [signal.SIGKILL, signal.SIGSTOP])
+def test_the_robot_stops_when_its_explorer_is_gone(graph: Any, fault: signal.Signals) -> None:
+    command = [sys.executable, "-m", "infomap_ros.nodes.explorer", "--ros-args"]
+    command += ["-r", f"__ns:={graph.namespace}"]
+    environment = os.environ | process_environment() | {"ROS_DOMAIN_ID": str(graph.domain)}
+    explorer = subprocess.Popen(command, env=environment)
+    try:
+        topic = f"{graph.namespace}/exploration_status"
+        graph.spin_until(lambda: graph.tester.count_publishers(topic) == 1, "the explorer", 60.0)
+        moving = Moving(graph, "follow_joint_trajectory")
+        try:
+            graph.spin_until(lambda: moving.base.pose[0] > 0.4, "a base that goes on")
+            place, since = moving.base.pose[0], time.monotonic()
+            explorer.send_signal(fault)
+            graph.spin_until(
+                lambda: not moving.arm.moves and moving.base.commands[-1] == (0.0, 0.0),
+                "standstill",
+            )
+            assert moving.arm.canceled
+            assert moving.base.pose[0] - place < 1.5  # of 5 m
+            assert time.monotonic() - since < 10.0  # the path would take longer
+        finally:
+            moving.process.kill()
+            moving.process.wait()
+    finally:
+        explorer.kill()
+        explorer.wait()
 
 
 class Pipe:

@@ -33,7 +33,7 @@ class Stage:
         tester = graph.tester
         self.candidates = tester.create_publisher(MarkerArray, "view_candidates", latched)
         self.view = tester.create_publisher(PoseStamped, "next_view", latched)
-        self.way = tester.create_publisher(Path, "next_best_view/base_path", latched)
+        self.path = tester.create_publisher(Path, "next_best_view/base_path", latched)
         self.status = tester.create_publisher(DiagnosticStatus, "exploration_status", latched)
         self.boxes = graph.collect(MarkerArray, "interest", latched)
         self.addresses = graph.collect(String, "web_viewer/address", latched)
@@ -95,7 +95,7 @@ def test_what_is_planned_and_done_is_told(stage: Stage) -> None:
     view = PoseStamped()
     view.pose.orientation.w = 1.0
     stage.view.publish(view)
-    stage.way.publish(Path(poses=[view, view]))
+    stage.path.publish(Path(poses=[view, view]))
 
     for text in ("1 views rated, 1 rejected", "rating 2.5: information 9,000", "1 x base path",
                  "tells most", "choosing", "50.0%"):  # fmt: skip

@@ -64,13 +64,13 @@ def test_the_kinematics_err_at_the_two_ends_of_a_way_that_no_view_tells(
     first, *priors = priors_of(monkeypatch, states)
 
     assert first is None
-    way = MotionPrior(np.eye(4), np.zeros((6, 6)))
+    motion = MotionPrior(np.eye(4), np.zeros((6, 6)))
     for prior in priors:
         assert prior is not None
-        way = way.then(prior)
+        motion = motion.then(prior)
     whole = MOTION.between(posture(0.0), posture(0.4))
-    np.testing.assert_allclose(way.T_before_after, whole.T_before_after, atol=1e-12)
-    sigmas = [np.sqrt(np.diag(each.covariance)[3:]) for each in (way, whole)]
+    np.testing.assert_allclose(motion.T_before_after, whole.T_before_after, atol=1e-12)
+    sigmas = [np.sqrt(np.diag(each.covariance)[3:]) for each in (motion, whole)]
     np.testing.assert_allclose(*sigmas, rtol=0.01)
 
 
@@ -104,9 +104,9 @@ def test_images_that_stand_still_while_odometry_moves_are_not_located(
         with pytest.raises(SensorFaultError, match="frozen while odometry moves"):
             locate(number, 0.02 * number, frozen)
     locate(4, 0.08, View(4).image)
-    way = scripted.priors[-1]
-    assert way is not None  # since the last view that was located
-    np.testing.assert_allclose(way.T_before_after[0, 3], 0.06)
+    motion = scripted.priors[-1]
+    assert motion is not None  # since the last view that was located
+    np.testing.assert_allclose(motion.T_before_after[0, 3], 0.06)
 
 
 def test_an_origin_is_named_by_the_view_with_which_a_map_begins() -> None:

@@ -100,7 +100,7 @@ def test_the_pose_goes_where_the_robot_has_gone_and_is_less_sure() -> None:
     assert np.linalg.norm(step[:3, 3]) > 0.5
 
 
-def test_a_longer_way_makes_it_less_sure() -> None:
+def test_a_longer_path_makes_it_less_sure() -> None:
     near, far = (told(range(count)).carry(pose_at(5), posture_at(5)) for count in (8, 20))
     assert near.covariance is not None and far.covariance is not None
     assert np.trace(near.covariance) < np.trace(far.covariance)

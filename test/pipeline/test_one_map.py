@@ -27,15 +27,16 @@ from infomap_ros.pipeline.pipeline import Fused, Fusion, Pipeline
 from infomap_ros.pipeline.range_estimator import StereoRangeEstimator
 from infomap_ros.pipeline.robot_body import RobotBody
 from infomap_ros.pipeline.scan_synchronizer import LocatedPoses, ScanSynchronizer
+from infomap_ros.replay.bags import player
 from infomap_ros.replay.bags.reader import BagReader
 from infomap_ros.replay.bags.writer import BagWriter
-from infomap_ros.replay.localizing.localize_run import (
+from infomap_ros.replay.localize_run import (
     LocalizeOptions,
     find_localize_inputs,
     make_localization,
     records_of,
 )
-from infomap_ros.replay.mapping.map_inputs import CameraPoses
+from infomap_ros.replay.map_inputs import CameraPoses
 from infomap_ros.stereo import StereoConfig
 
 from .map_hash import map_hash
@@ -118,7 +119,6 @@ def by_nodes(path: Path, graph: Any, out: Path, *, localizes: bool) -> str:
         left_out=["/camera_pose"] if localizes else [""],
         acknowledged=True,
         window=1,
-        acknowledge_timeout=60.0,
         wait_for_subscribers=[*images, *(images if localizes else []), "joint_states"],
     )
     graph.spin_until(player.finished.done, "the end of the bag", 240.0)
@@ -131,7 +131,10 @@ def by_nodes(path: Path, graph: Any, out: Path, *, localizes: bool) -> str:
 
 
 @pytest.mark.parametrize("localizes", [False, True], ids=["poses of the bag", "located"])
-def test_one_bag_gives_one_map(bag: Path, graph: Any, tmp_path: Path, localizes: bool) -> None:
+def test_one_bag_gives_one_map(
+    bag: Path, graph: Any, tmp_path: Path, localizes: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(player, "_ACKNOWLEDGE_TIMEOUT", 60.0)
     first = by_python(bag, localizes=localizes)
 
     assert by_command(bag, tmp_path / "command", localizes=localizes) == first

@@ -11,8 +11,8 @@ import pytest
 from infomap_ros.errors import CalibrationError, RobotModelError
 from infomap_ros.motion.robot.robot_model import RobotModel
 from infomap_ros.replay.bags.reader import BagReader
-from infomap_ros.replay.mapping.map_inputs import MapOptions
-from infomap_ros.replay.mapping.map_run import MapRun
+from infomap_ros.replay.map_inputs import MapOptions
+from infomap_ros.replay.map_run import MapRun
 from infomap_ros.replay.sequences.calibration_files import read_calibration
 
 

@@ -12,14 +12,14 @@ from typer.testing import CliRunner
 from infomap_ros.cli import app
 from infomap_ros.errors import BagError
 from infomap_ros.replay.bags.reader import BagReader
-from infomap_ros.replay.localizing.localize_run import (
+from infomap_ros.replay.localize_run import (
     LocalizeInputConfig,
     LocalizeOptions,
     LocalizeRun,
 )
+from infomap_ros.replay.map_inputs import MapInputConfig, MapOptions
+from infomap_ros.replay.map_run import MapRun
 from infomap_ros.replay.mapped_bag import open_recording
-from infomap_ros.replay.mapping.map_inputs import MapInputConfig, MapOptions
-from infomap_ros.replay.mapping.map_run import MapRun
 
 from .moving_camera import START, STEP, WALL, pose, write
 
@@ -70,8 +70,8 @@ def test_a_car_is_followed_from_the_first_pair_on(real_data):
     truth = np.loadtxt(folder / "poses.txt").reshape(-1, 3, 4)
     for pose_found, pose_true in zip(found[1:], truth[1:], strict=True):
         moved = np.linalg.inv(found[0]) @ pose_found
-        way = np.linalg.norm(pose_true[:, 3])  # 1 m at 10 pairs a second
-        assert np.linalg.norm(moved[:3, 3] - pose_true[:, 3]) <= 0.05 * way
+        distance = np.linalg.norm(pose_true[:, 3])  # 1 m at 10 pairs a second
+        assert np.linalg.norm(moved[:3, 3] - pose_true[:, 3]) <= 0.05 * distance
         turn = Rotation.from_matrix(moved[:3, :3] @ pose_true[:, :3].T).magnitude()
         assert turn <= np.radians(0.1)
 

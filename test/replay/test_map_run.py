@@ -23,10 +23,10 @@ from infomap_ros.geometry import (
 )
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.motion.robot.robot_model import DescriptionConfig
+from infomap_ros.replay import map_inputs
 from infomap_ros.replay.bags.reader import BagReader
-from infomap_ros.replay.mapping import map_inputs
-from infomap_ros.replay.mapping.map_inputs import MapInputConfig, MapOptions
-from infomap_ros.replay.mapping.map_run import MapRun
+from infomap_ros.replay.map_inputs import MapInputConfig, MapOptions
+from infomap_ros.replay.map_run import MapRun
 from infomap_ros.replay.sequences import LAYOUTS, SequenceReader
 
 from .real_sequences import KITCHEN_FLOOR, REAL

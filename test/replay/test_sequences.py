@@ -14,8 +14,8 @@ from infomap_ros.geometry import CameraInfoRecord, ImageRecord, PoseRecord, rig_
 from infomap_ros.pipeline.image_synchronizer import intensity_pixels
 from infomap_ros.replay.bags.reader import BagReader
 from infomap_ros.replay.bags.topics import find_depth_topics, find_pose_topic, find_stereo_topics
+from infomap_ros.replay.map_run import MapRun
 from infomap_ros.replay.mapped_bag import open_recording
-from infomap_ros.replay.mapping.map_run import MapRun
 from infomap_ros.replay.sequences import LAYOUTS, SequenceOptions, SequenceReader, convert
 from infomap_ros.replay.sequences.calibration_files import read_calibration
 from infomap_ros.replay.sequences.frame_files import as_nanoseconds

@@ -20,8 +20,8 @@ import pytest
 from infomap_ros.errors import BagError, InvalidInputError
 from infomap_ros.geometry import CameraInfoRecord, ImageRecord, PoseRecord
 from infomap_ros.replay.bags.reader import BagReader, BagRecord
-from infomap_ros.replay.mapping.map_inputs import MapOptions
-from infomap_ros.replay.mapping.map_run import MapRun
+from infomap_ros.replay.map_inputs import MapOptions
+from infomap_ros.replay.map_run import MapRun
 from infomap_ros.studies import survey
 from infomap_ros.studies.survey import dask_client, map_survey, parts_of
 

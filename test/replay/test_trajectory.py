@@ -17,7 +17,7 @@ from infomap_ros.geometry import (
 from infomap_ros.localization.filter.config import KeptPoses
 from infomap_ros.motion.robot.robot_model import RobotModel
 from infomap_ros.pipeline.robot_motion import RobotMotion
-from infomap_ros.replay.localizing.localize_run import TrajectoryRecorder
+from infomap_ros.replay.localize_run import TrajectoryRecorder
 from infomap_ros.replay.sequences.frame_files import ColorCamera, register_depth
 
 

@@ -5,8 +5,8 @@ import sys
 import mujoco
 import pytest
 
+from infomap_ros import simulation as backend
 from infomap_ros.errors import SimulationError
-from infomap_ros.simulation import backend
 from infomap_ros.simulation.cameras.rendering import Renderer
 from infomap_ros.simulation.worlds.builder import World
 

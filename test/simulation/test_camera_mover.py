@@ -19,6 +19,9 @@ SETTINGS = (
     "world.size=4.5",
     "robot.pose_source=simulator",
     "robot.images_while_moving=false",
+    "simulator.camera.width=320",
+    "simulator.camera.height=240",
+    "simulator.camera.supersampling=1",
     "planner.start_clearance=0.6",
 )
 

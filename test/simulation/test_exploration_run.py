@@ -34,6 +34,9 @@ SETTINGS = (
     "task.max_views=8",
     "robot.pose_source=simulator",
     "robot.images_while_moving=false",
+    "simulator.camera.width=320",
+    "simulator.camera.height=240",
+    "simulator.camera.supersampling=1",
 )
 
 

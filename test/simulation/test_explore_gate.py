@@ -85,7 +85,7 @@ def test_the_mean_is_that_of_runs_that_ended(gate: Any) -> None:
 def test_refusals_count_over_all_decisions(gate: Any) -> None:
     stuck = "the base cannot drive: no pose next to it is safe"
     counts = [
-        (100, {f"{stuck}: 5 of 23": 3, "tells too little": 50}),
+        (100, {f"{stuck}: 5 of 23": 3, "too little information": 50}),
         (300, {f"the ground below is a hole; {stuck}": 9}),
     ]
     decisions = [SimpleNamespace(considered=n, rejections=reasons) for n, reasons in counts]

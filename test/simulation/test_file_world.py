@@ -54,9 +54,9 @@ def write_stl(path: Path, triangles: np.ndarray) -> str:
 
 def look(world: World, height: float = 0.5) -> list[float]:
     """Distance from the start to what stands in +x, +y, -x, -y [m]."""
-    ways = 50.0 * np.array([(1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (-1.0, 0.0, 0.0), (0.0, -1.0, 0.0)])
+    rays = 50.0 * np.array([(1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (-1.0, 0.0, 0.0), (0.0, -1.0, 0.0)])
     origin = np.array([[0.0, 0.0, height]])
-    return [float(50.0 * world.surface.first_hits(origin, origin + way)[0]) for way in ways]
+    return [float(50.0 * world.surface.first_hits(origin, origin + ray)[0]) for ray in rays]
 
 
 def check_room(world: World, start: tuple[float, float]) -> None:

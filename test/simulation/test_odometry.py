@@ -11,7 +11,7 @@ from infomap_ros.simulation.body.wheel_odometry import Odometry, OdometryConfig
 
 
 def _poses() -> list[FloatArray]:
-    """A curved, tilting way of 2 m."""
+    """A curved, tilting path of 2 m."""
     return [
         make_transform(
             Rotation.from_euler("ZYX", (0.8 * s, 0.1 * np.sin(3 * s), 0.05 * s)).as_matrix(),

@@ -8,6 +8,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+import trimesh
 
 from infomap_ros.errors import ConfigError, RobotModelError
 from infomap_ros.motion.robot.robot_model import RobotModel
@@ -100,6 +101,35 @@ def test_descriptions_name_their_meshes_from_anywhere(path: Path) -> None:
     names = {mesh.get("filename", "") for mesh in tree.iter("mesh")}
     assert names
     assert all(Path(name.removeprefix("file://")).is_file() for name in names)
+
+
+def test_meshes_of_packages_elsewhere_are_found(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What xacro writes into a folder of its own names meshes of packages in ROS_PACKAGE_PATH."""
+    mesh = tmp_path / "packages" / "arm_description" / "a.stl"
+    mesh.parent.mkdir(parents=True)
+    trimesh.creation.box((0.2, 0.1, 0.1)).export(mesh)
+    geometry = "<geometry><mesh filename='package://arm_description/a.stl'/></geometry>"
+    link = f"<link name='a'><visual>{geometry}</visual><collision>{geometry}</collision></link>"
+    urdf = tmp_path / "elsewhere" / "arm.urdf"
+    urdf.parent.mkdir()
+    urdf.write_text(f"<robot name='r'>{link}</robot>")
+    monkeypatch.setenv("ROS_PACKAGE_PATH", str(tmp_path / "packages"))
+    tree = ElementTree.fromstring(read_description(urdf))
+    names = [mesh.get("filename", "") for mesh in tree.iter("mesh")]
+    assert names == [f"file://{mesh}"] * 2
+
+
+def test_what_is_only_seen_may_be_missing() -> None:
+    """A robot whose visual meshes were left behind drives all the same; they are not drawn."""
+    seen = (
+        "<visual><geometry><mesh filename='package://arm_description/a.stl'/></geometry></visual>"
+    )
+    solid = "<collision><geometry><box size='0.1 0.1 0.1'/></geometry></collision>"
+    inertia = "<inertia ixx='0.1' iyy='0.1' izz='0.1' ixy='0' ixz='0' iyz='0'/>"
+    inertial = f"<inertial><mass value='1'/>{inertia}</inertial>"
+    load_robot(f"<robot name='r'><link name='a'>{inertial}{seen}{solid}</link></robot>")
 
 
 def test_a_collision_mesh_of_an_unknown_kind_is_refused() -> None:

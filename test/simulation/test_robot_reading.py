@@ -26,6 +26,7 @@ from infomap_ros.simulation.simulator import Simulator, SimulatorConfig
 from test.motion.test_fixed_camera import fixed_rover
 
 DATA = "package://example-robot-data/robots/"
+_FIX = "<joint name='m' type='fixed'><parent link='base_link'/><child link='mast'/></joint>"
 CAMERA = StereoCameraConfig(width=64, height=48, supersampling=1)
 
 
@@ -150,13 +151,30 @@ def test_a_camera_fixed_on_the_base_needs_no_arm(tmp_path: Path) -> None:
 
 
 def test_without_camera_and_arm_a_link_is_asked_for(tmp_path: Path) -> None:
-    bare = fixed_rover().replace("optical", "lens")
+    bare = fixed_rover().replace("optical", "lens").replace("camera", "eye")
     (tmp_path / "bare.urdf").write_text(bare)
     with pytest.raises(RobotModelError, match=r"no link with 'optical'.*--camera LINK"):
         read_robot(str(tmp_path / "bare.urdf"))
-    reading = read_robot(str(tmp_path / "bare.urdf"), "left_camera_frame")
-    assert reading.file.setup.camera_mount.startswith("left_camera_frame: 0.02 0 0")
+    reading = read_robot(str(tmp_path / "bare.urdf"), "left_eye_frame")
+    assert reading.file.setup.camera_mount.startswith("left_eye_frame: 0.02 0 0")
     assert reading.robot.arm.camera_pose([])[0, 2] == pytest.approx(1.0)  # looks ahead
+
+
+def test_a_link_that_is_called_camera_gets_one(tmp_path: Path) -> None:
+    """Descriptions for Gazebo often end at a camera_link that looks along x, without REP 103."""
+    (tmp_path / "bare.urdf").write_text(fixed_rover().replace("optical", "lens"))
+    reading = read_robot(str(tmp_path / "bare.urdf"))
+    assert "robot.camera_mount" in reading.file.reasons
+    assert reading.robot.arm.camera_pose([])[0, 2] == pytest.approx(1.0)  # looks ahead
+
+
+def test_missing_meshes_are_refused_at_once_with_what_to_do(tmp_path: Path) -> None:
+    mesh = "<mesh filename='package://rover_description/meshes/mast.stl'/>"
+    solid = f"<collision><geometry>{mesh}</geometry></collision>"
+    text = fixed_rover().replace("</robot>", f"<link name='mast'>{solid}</link>{_FIX}</robot>")
+    (tmp_path / "rover.urdf").write_text(text)
+    with pytest.raises(RobotModelError, match=r"mast\.stl.*rover_description must be in ROS_P"):
+        read_robot(str(tmp_path / "rover.urdf"))
 
 
 def test_the_gain_that_fits_is_the_ratio_of_wheels_and_base() -> None:

@@ -70,8 +70,8 @@ def test_odometry_counts_on_and_time_does_not_go_back(driven, world, description
     np.testing.assert_array_equal(robot.T_world_odom, driven.T_world_odom)
     robot.follow_base_path([(0.4, 0.0, 0.6), (0.7, 0.2, 0.6)])
     settle(robot)
-    way = np.linalg.norm((robot.true_pose() - driven.true_pose())[:2, 3])
-    assert way == pytest.approx(np.hypot(0.3, 0.2), abs=0.06)
+    distance = np.linalg.norm((robot.true_pose() - driven.true_pose())[:2, 3])
+    assert distance == pytest.approx(np.hypot(0.3, 0.2), abs=0.06)
 
 
 def test_what_is_not_its_own_file_is_refused(driven, world, description, tmp_path):

@@ -12,7 +12,8 @@ from infomap_ros.geometry import PinholeCamera, invert_transform, make_transform
 from infomap_ros.motion.robot.robot_model import RobotModel
 from infomap_ros.simulation.body.base_motion import planar
 from infomap_ros.simulation.body.robot_setup import RobotSetupConfig
-from infomap_ros.simulation.cameras.eyes import DepthEye, DepthEyeConfig
+from infomap_ros.simulation.cameras import eyes
+from infomap_ros.simulation.cameras.eyes import DepthEye
 from infomap_ros.simulation.cameras.stereo_camera import StereoCameraConfig
 from infomap_ros.simulation.simulator import Simulator, SimulatorConfig
 from infomap_ros.simulation.worlds.builder import SceneBuilder, World
@@ -357,13 +358,14 @@ def test_depth_is_true_but_for_its_noise(description: str) -> None:
     assert neighbors > 0.0
 
 
-def test_depth_out_of_range_is_no_measurement(rover: Simulator) -> None:
-    config = DepthEyeConfig(nearest=0.5, farthest=2.0, pixel_sigma=0.0)
-    eye = DepthEye(
-        rover._body, PinholeCamera(4, 4, 3.0, 3.0, 1.5, 1.5), config, np.random.default_rng(0)
-    )
+def test_depth_out_of_range_is_no_measurement(
+    rover: Simulator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(eyes, "_PIXEL_SIGMA", 0.0)
+    camera = PinholeCamera(4, 4, 3.0, 3.0, 1.5, 1.5)
+    eye = DepthEye(rover._body, camera, np.random.default_rng(0))
     depth = np.full((4, 4), 1.0, np.float32)
-    depth[0], depth[1], depth[2] = 0.3, 3.0, np.nan
+    depth[0], depth[1], depth[2] = 0.25, 6.5, np.nan
     measured = eye.measure(depth)
     assert np.isnan(measured[:3]).all()
     np.testing.assert_allclose(measured[3], 1.0, atol=0.01)

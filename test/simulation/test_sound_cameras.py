@@ -14,7 +14,6 @@ from infomap_ros.pipeline.range_estimator import StereoHealth
 from infomap_ros.simulation.cameras.stereo_camera import (
     DRAWN_FAST,
     ImageSensor,
-    ImageSensorConfig,
     StereoCamera,
     StereoCameraConfig,
 )
@@ -58,7 +57,7 @@ def views(name: str) -> list[Pair]:
         for pose, _ in zip(places(world, rng), range(VIEWS), strict=False):
             beside = pose @ make_transform(np.eye(3), (BASELINE, 0.0, 0.0))
             light, other = CAMERA.capture(renderer, data, pose, beside)
-            sensor = ImageSensor(ImageSensorConfig(), rng)
+            sensor = ImageSensor(rng)
             sensor.adjust(light)
             pairs.append(rectifier.rectify(sensor.expose(light), sensor.expose(other, 1.02)))
     return pairs

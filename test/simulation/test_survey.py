@@ -7,9 +7,8 @@ from scipy.spatial.transform import Rotation
 from infomap_ros.geometry import transform_points
 from infomap_ros.geometry.resources import find_share
 from infomap_ros.motion.robot.robot_model import RobotModel
-from infomap_ros.simulation.body.chassis import Chassis
 from infomap_ros.simulation.body.robot import RobotState
-from infomap_ros.simulation.recorder import ARM_JOINTS, RecorderConfig, Survey
+from infomap_ros.simulation.recorder import ARM_JOINTS, Chassis, RecorderConfig, Survey
 from infomap_ros.simulation.worlds.builder import World
 from infomap_ros.simulation.worlds.terrain import Terrain
 
@@ -64,9 +63,9 @@ def test_base_drives_forward_along_its_heading() -> None:
     survey = Survey(10.0)
     for time in np.linspace(0.05, 9.9, 60):
         now, soon = survey.at(time), survey.at(time + 0.01)
-        way = np.array((soon.x - now.x, soon.y - now.y))
-        assert way @ (np.cos(now.heading), np.sin(now.heading)) == pytest.approx(
-            np.linalg.norm(way), rel=1e-3
+        motion = np.array((soon.x - now.x, soon.y - now.y))
+        assert motion @ (np.cos(now.heading), np.sin(now.heading)) == pytest.approx(
+            np.linalg.norm(motion), rel=1e-3
         )
 
 

@@ -6,8 +6,8 @@ import numpy as np
 
 from infomap_ros.exploration.loop import Ending, EndReason, Exploration
 from infomap_ros.exploration.robot import Choice, Interrupted, Motion, RobotState
-from infomap_ros.exploration.target.target_hunt import find_target
-from infomap_ros.exploration.target.target_search import TargetSearchPlanner
+from infomap_ros.exploration.target_hunt import find_target
+from infomap_ros.exploration.target_search import TargetSearchPlanner
 from infomap_ros.exploration.task import TaskConfig
 from infomap_ros.geometry import PinholeCamera, invert_transform
 from infomap_ros.geometry.resources import find_share

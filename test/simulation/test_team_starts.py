@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from infomap_ros.simulation.multi_robot.team_world import team_starts
+from infomap_ros.simulation.team_world import team_starts
 from infomap_ros.simulation.worlds.builder import World
 from infomap_ros.simulation.worlds.scenes import make_world
 

@@ -64,10 +64,10 @@ def test_a_teammate_that_drives_by_leaves_no_voxel(description: str) -> None:
         one.place_teammate("two", pose, joints)
         state = RobotState(pose, two.true_camera_pose(), 1e-6 * np.eye(6), joints)
         at_the_scan = one.stamp + round(STEP * 1e9)
-        told = theirs.tell(Presence(at_the_scan, state, model, robot.link.rig.left, 4.0))
-        agent = ours.hear(told.text, 0.0)
+        told = theirs.announcement(Presence(at_the_scan, state, model, robot.link.rig.left, 4.0))
+        agent = ours.receive(told.text, 0.0)
         assert agent is not None
-        bodies.hear(agent)
+        bodies.receive(agent)
         robot.link.let_pass(STEP)
         solids = model.solids_in(base_frame, joints)
         swept += [PlacedSolid(s.solid, pose @ s.transform, s.name) for s in solids]

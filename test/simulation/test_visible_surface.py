@@ -58,14 +58,14 @@ def test_lines_end_where_mujoco_says(world: World, rng: np.random.Generator) -> 
     model, data, geom = world.model, world.new_data(), np.zeros(1, np.int32)
     groups = np.array([1, 0, 0, 0, 0, 0], np.uint8)  # all but the robot
     origins = rng.uniform((-3.0, -3.0, -0.2), (3.0, 3.0, 1.5), (300, 3))
-    ways = rng.normal(size=(300, 3))
-    ways *= 4.0 / np.linalg.norm(ways, axis=1, keepdims=True)
+    rays = rng.normal(size=(300, 3))
+    rays *= 4.0 / np.linalg.norm(rays, axis=1, keepdims=True)
     expected = [
         mujoco.mj_ray(model, data, o, w, groups, True, -1, geom, None)
-        for o, w in zip(origins, ways, strict=True)
+        for o, w in zip(origins, rays, strict=True)
     ]
     expected = np.array([h if 0.0 <= h <= 1.0 else np.inf for h in expected])
-    shares = world.surface.first_hits(origins, origins + ways)
+    shares = world.surface.first_hits(origins, origins + rays)
     above = origins[:, 2] > world.terrain.height(origins[:, :2])  # below ground MuJoCo sees none
     assert np.isfinite(expected[above]).sum() > 100
     np.testing.assert_allclose(shares[above], expected[above], atol=1e-5)
@@ -122,12 +122,12 @@ def test_a_camera_beside_the_box_decides_like_a_plain_search(yard: World) -> Non
     inside = ((points >= yard.region[0]) & (points <= yard.region[1])).all(axis=1)
     data, geom, expected = yard.new_data(), np.zeros(1, np.int32), []
     for point, normal in zip(points[inside], normals[inside], strict=True):
-        way = camera[0] - point - 0.003 * normal
-        distance = np.linalg.norm(way)
+        ray = camera[0] - point - 0.003 * normal
+        distance = np.linalg.norm(ray)
         hit = mujoco.mj_ray(
-            yard.model, data, camera[0], -way / distance, None, True, -1, geom, None
+            yard.model, data, camera[0], -ray / distance, None, True, -1, geom, None
         )
-        expected.append(0.25 < distance < 3.0 and way @ normal > 0.0 and hit > distance - 0.01)
+        expected.append(0.25 < distance < 3.0 and ray @ normal > 0.0 and hit > distance - 0.01)
     assert abs(sum(expected) - len(seen.points)) <= 0.02 * sum(expected)
 
 

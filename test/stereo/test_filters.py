@@ -65,14 +65,14 @@ def test_edges_agree_with_the_obvious_window(rng):
     disparity = (rng.integers(0, 27, (30, 40)) + 330 * (np.arange(40) > 19)).astype(np.int16)
     disparity[18:, :8] //= 3
     disparity[10, 20] = INVALID
-    config = StereoConfig(edge_window=5, edge_threshold=2.0, max_grazing_angle=1.4, edge_noise=0.7)
+    config = StereoConfig(max_grazing_angle=1.4)
     found = edge_free(disparity, INVALID, config, rig(offset=3.0))
     expected = np.zeros((30, 40), bool)
     for v in range(3, 27):
         for u in range(3, 37):
             window = disparity[v - 2 : v + 3, u - 2 : u + 3]
             steep = 4 * np.tan(1.4) / 300.0 * (window.min() / 16 + 3.0)
-            jump = np.clip(steep, 0.7, 2.0)
+            jump = np.clip(steep, 1.0, 2.0)
             expected[v, u] = window.min() > INVALID and np.ptp(window) / 16 < jump
     np.testing.assert_array_equal(found, expected)
     assert 0 < expected.sum() < expected.size

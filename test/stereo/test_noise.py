@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from infomap_ros.geometry import PinholeCamera, StereoRig
-from infomap_ros.stereo import StereoConfig
+from infomap_ros.stereo import StereoConfig, noise
 from infomap_ros.stereo.images import RowBands
 from infomap_ros.stereo.noise import (
     match_terms,
@@ -17,8 +17,13 @@ from infomap_ros.stereo.noise import (
 from infomap_ros.stereo.quality import MatchQuality
 from infomap_ros.stereo.range_cloud import assemble
 
-CONFIG = StereoConfig(min_depth=0.1, max_depth=1000.0, max_relative_sigma=0.3)
+CONFIG = StereoConfig(min_depth=0.1, max_depth=1000.0)
 OFFSET = 12.0
+
+
+@pytest.fixture(autouse=True)
+def _many_are_kept(monkeypatch):
+    monkeypatch.setattr(noise, "_MAX_RELATIVE_SIGMA", 0.3)
 
 
 def convert(disparity, sigma):
@@ -84,13 +89,12 @@ def test_covariance_of_points_matches_sampled_points(rng):
 def test_sigma_kernel_is_the_power_law_within_one_percent(rng):
     planes = [np.exp(rng.uniform(-2.0, 8.0, (50, 60))).astype(np.float32) for _ in range(4)]
     quality = MatchQuality(*planes)
-    exact = sigma_from_terms(match_terms(quality, CONFIG), CONFIG)
+    exact = sigma_from_terms(match_terms(quality), CONFIG)
     found = sigma_from_quality(quality, CONFIG, RowBands(50, 2))
     np.testing.assert_allclose(found, exact, rtol=0.01)
 
 
 def test_sigma_is_never_below_its_floor():
-    zero = np.zeros((4, 5), np.float32)
-    config = StereoConfig(sigma_floor=0.3)
-    sigma = sigma_from_quality(MatchQuality(zero, zero, zero, zero), config, RowBands(4))
-    assert sigma.min() >= 0.3
+    sharp = (np.full((4, 5), value, np.float32) for value in (0.0, 0.0, 1e6, 1e8))
+    sigma = sigma_from_quality(MatchQuality(*sharp), StereoConfig(), RowBands(4))
+    np.testing.assert_array_equal(sigma, np.float32(0.05))

@@ -13,11 +13,10 @@ from infomap_ros.studies.baselines.frontiers import (
     find_frontiers,
     frontier_cells,
     level_views,
-    told_by,
+    shares_of,
 )
 from infomap_ros.studies.baselines.view_tree import grow_tree
-from infomap_ros.studies.planar.explore import ExplorationConfig, PlanarExplorer
-from infomap_ros.studies.planar.settings import planar_choice
+from infomap_ros.studies.planar.explore import ExplorationConfig, PlanarExplorer, planar_choice
 from infomap_ros.studies.planar.world import make_world
 from infomap_ros.views.ranking.options import Options
 from infomap_ros.views.ranking.rating import Ratings
@@ -100,10 +99,12 @@ def test_nearest_frontier_goes_to_the_nearest(seen) -> None:
     other.pose, other.past = situation.T_map_camera, list(explorer.past)
     other.move(situation)
     centers = [group.center for group in find_frontiers(situation, surroundings)]
-    ways = surroundings.path_lengths(np.array(centers))
+    distances = surroundings.path_lengths(np.array(centers))
     gone = np.linalg.norm(np.array(centers) - other.pose[:3, 3], axis=1)
     assert gone.min() < 1e-6
-    assert ways[gone.argmin()] <= np.sort(ways)[min(1, len(ways) - 1)]  # the nearest of use
+    assert (
+        distances[gone.argmin()] <= np.sort(distances)[min(1, len(distances) - 1)]
+    )  # the nearest of use
 
 
 def test_views_that_were_taken_tell_nothing_more() -> None:
@@ -115,5 +116,5 @@ def test_views_that_were_taken_tell_nothing_more() -> None:
     past = SimpleNamespace(past_views=poses[:1])
     options = cast("Options", SimpleNamespace(poses=poses, situation=past, surroundings=size))
     ratings = cast("Ratings", SimpleNamespace(shares=np.array([0.1, 0.2, 0.3, 0.4])))
-    told = told_by(options, ratings, np.array([3, 2, 1, 0, -1]))
-    np.testing.assert_array_equal(told, [0.4, 0.3, 0.0, 0.0, 0.0])
+    shares = shares_of(options, ratings, np.array([3, 2, 1, 0, -1]))
+    np.testing.assert_array_equal(shares, [0.4, 0.3, 0.0, 0.0, 0.0])

@@ -12,10 +12,10 @@ from infomap_ros.errors import ConfigError, InvalidInputError
 from infomap_ros.geometry import make_transform, transform_points
 from infomap_ros.studies.camera_motion import (
     MotionConfig,
+    RecursivePose,
     estimate_motion,
     printed_motion,
 )
-from infomap_ros.studies.recursive_pose import RecursivePose
 
 
 def some_motion(rng: np.random.Generator) -> np.ndarray:

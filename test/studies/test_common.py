@@ -10,8 +10,8 @@ import pytest
 from scipy import stats
 
 from infomap_ros.errors import InvalidInputError
-from infomap_ros.studies.common.figure_style import band, curve_band, ratio_band
-from infomap_ros.studies.common.runs import Kept, markdown, run_all
+from infomap_ros.studies.figure_style import band, curve_band, ratio_band
+from infomap_ros.studies.runs import Kept, markdown, run_all
 
 
 @dataclass(frozen=True, eq=False)

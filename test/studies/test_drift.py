@@ -12,7 +12,6 @@ from typer.testing import CliRunner
 
 from infomap_ros.cli import app
 from infomap_ros.geometry import invert_transform, transform_points
-from infomap_ros.studies.common.runs import Kept
 from infomap_ros.studies.drift import (
     METHODS,
     DriftConfig,
@@ -24,6 +23,7 @@ from infomap_ros.studies.drift import (
     tasks_of,
 )
 from infomap_ros.studies.fiducial_walk import CAMERA, WalkConfig, walk
+from infomap_ros.studies.runs import Kept
 
 SMALL = DriftConfig(runs=6, distances=(1.1,), redundancies=(2,), seed=3, walk=WalkConfig(steps=15))
 

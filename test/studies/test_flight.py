@@ -1,4 +1,4 @@
-"""A flying camera: ways through known free space, against Dijkstra and by hand."""
+"""A flying camera: paths through known free space, against Dijkstra and by hand."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 
 from infomap_ros.mapping import OccupancyThresholds, VoxelMap, VoxelMapConfig
 from infomap_ros.mapping.voxels.state import put_states, unknown_states
-from infomap_ros.studies.common.flight import NO_WAY, FreeFlight
+from infomap_ros.studies.flight import NO_PATH, FreeFlight
 from test.views.rooms import facing
 
 SIZE = 0.5
@@ -49,7 +49,7 @@ def shortest(free: np.ndarray, start: tuple[int, int]) -> np.ndarray:
     return lengths
 
 
-def test_way_round_a_wall_is_pulled_straight() -> None:
+def test_path_round_a_wall_is_pulled_straight() -> None:
     free = np.ones((21, 21), np.bool_)
     wall = np.zeros_like(free)
     wall[10, :16] = True
@@ -64,7 +64,7 @@ def test_way_round_a_wall_is_pulled_straight() -> None:
     assert sum(above) - SIZE < found.travel < sum(above) + 2 * SIZE
 
 
-def test_ways_lie_in_free_space_and_are_no_longer_than_over_neighbors(rng) -> None:
+def test_paths_lie_in_free_space_and_are_no_longer_than_over_neighbors(rng) -> None:
     occupied = rng.random((30, 30)) < 0.2
     occupied[3, 4] = False
     free = ~occupied
@@ -74,15 +74,15 @@ def test_ways_lie_in_free_space_and_are_no_longer_than_over_neighbors(rng) -> No
     for i, j in rng.integers(0, 30, (60, 2)):
         found = flight.reach(facing(0.0, center(int(i), int(j))))
         if not np.isfinite(lengths[i, j]) or not free[i, j]:
-            assert found.reason == NO_WAY
+            assert found.reason == NO_PATH
             continue
         reached += 1
         straight = np.hypot(i - 3, j - 4) * SIZE
         assert straight - 1e-6 <= found.travel <= lengths[i, j] + 1e-4
         corners = np.asarray(found.route)
         for a, b in itertools.pairwise(corners):
-            on_way = a + np.linspace(0.0, 1.0, 400)[:, None] * (b - a)
-            cells = np.floor(on_way[:, :2] / SIZE).astype(int)
+            on_path = a + np.linspace(0.0, 1.0, 400)[:, None] * (b - a)
+            cells = np.floor(on_path[:, :2] / SIZE).astype(int)
             assert free[tuple(cells.T)].mean() > 0.95  # corners may be grazed
     assert reached > 20
 
@@ -91,7 +91,7 @@ def test_unknown_and_uncertain_space_is_not_flown_through() -> None:
     free = np.ones((15, 5), np.bool_)
     free[7] = False  # unknown
     flight = FreeFlight(map_of(free, ~np.ones_like(free)), facing(0.0, center(2, 2)), (0.1, 0.4))
-    assert flight.reach(facing(0.0, center(12, 2))).reason == NO_WAY
-    assert flight.reach(facing(0.0, center(7, 2))).reason == NO_WAY
+    assert flight.reach(facing(0.0, center(12, 2))).reason == NO_PATH
+    assert flight.reach(facing(0.0, center(7, 2))).reason == NO_PATH
     assert flight.reach(facing(1.0, center(2, 2))).travel == 0.0
     assert flight.may_reach(np.eye(4)[None]) == [""]

@@ -15,7 +15,7 @@ def test_the_others_map_what_they_would_map_without_a_liar() -> None:
     )
 
     kinds = ("fill", "digest", "summary", "hand_on", "ask", "repeat")
-    assert min(hostile.told[lie] for lie in kinds) > 10
+    assert min(hostile.sent[lie] for lie in kinds) > 10
     assert hostile.refused["CapacityError"] > 0, "and the memory is full"
     assert len(set(hostile.hashes)) == 1
     assert hostile.hashes == quiet.hashes

@@ -13,7 +13,7 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
-from infomap_ros.studies.common.runs import Kept, run_all
+from infomap_ros.studies.runs import Kept, run_all
 
 
 @dataclass(frozen=True)

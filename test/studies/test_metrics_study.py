@@ -13,20 +13,20 @@ from typer.testing import CliRunner
 from infomap_ros.cli import app
 from infomap_ros.cli.study_metrics import values_by_share
 from infomap_ros.mapping import VoxelMap
-from infomap_ros.studies.common.runs import Kept
-from infomap_ros.studies.metrics.metrics_study import (
+from infomap_ros.studies.metrics_study import (
     OWN,
     MetricRun,
     MetricsStudyConfig,
     complete,
     difference,
     overview,
+    result_of_scans,
     rows_of,
     tasks_of,
-    what_scans_tell,
 )
 from infomap_ros.studies.planar.explore import ExplorationConfig, explore
 from infomap_ros.studies.planar.world import SensorConfig, level_pose, make_world, take_scan
+from infomap_ros.studies.runs import Kept
 
 PRINTED = ("scene_entropy", "stretched_scene_entropy", "weighted_scene_entropy")
 
@@ -43,7 +43,7 @@ def test_bits_and_wrong_cells_are_those_of_the_map() -> None:
     world, sensor = make_world("clutter", 3, 1.0), SensorConfig()
     x, y = world.start
     views = np.array([[x, y, 0.0], [x, y, 2.0]])
-    bits, wrong = what_scans_tell(world, sensor, views)
+    bits, wrong = result_of_scans(world, sensor, views)
     voxel_map = VoxelMap(sensor.map_config(1.0))
     for place_x, place_y, azimuth in views:
         pose = level_pose(np.array([place_x, place_y]), azimuth, 1.0)
@@ -85,7 +85,7 @@ def test_areas_are_means_of_the_curves_and_paired_by_world() -> None:
     runs = [made_up(fraction, 1.0) for fraction in curves]
     rows = rows_of(dict(zip(tasks_of(config), runs, strict=True)), config)
     assert [row.area_scans for row in rows] == pytest.approx([0.5, 0.2, 0.5, 0.1])
-    assert [row.area_way for row in rows] == pytest.approx([0.5, 0.2, 0.5, 0.1])
+    assert [row.area_path for row in rows] == pytest.approx([0.5, 0.2, 0.5, 0.1])
     found = difference(rows, "scene_entropy", "area_scans")
     assert found.mean == pytest.approx(-0.35)
     assert found.count == 2

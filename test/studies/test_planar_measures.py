@@ -9,19 +9,21 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from infomap_ros.cli.study_planar import relations, way_ratio
+from infomap_ros.cli.study_planar import length_ratio, relations
 from infomap_ros.studies.baselines.frontier_tour import open_tour, tour_length
-from infomap_ros.studies.common.figure_style import band, curve_band
+from infomap_ros.studies.figure_style import band, curve_band
 from infomap_ros.studies.planar.explore import Exploration, ExplorationConfig
 from infomap_ros.studies.planar.planar_study import BASELINES, Row, compare, savings_of
 from infomap_ros.studies.planar.report import draw_savings
-from infomap_ros.studies.planar.study_config import (
+from infomap_ros.studies.planar.tasks import (
+    Record,
+    Task,
+    WorldName,
     area_under_coverage,
     distance_to,
     fraction_at,
     saving,
 )
-from infomap_ros.studies.planar.tasks import Record, Task, WorldName
 
 DISTANCE = np.array([0.0, 0.0, 10.0, 30.0])
 FRACTION = np.array([0.1, 0.2, 0.5, 0.9])
@@ -57,8 +59,8 @@ def test_bands_are_those_of_students_t() -> None:
     assert np.isnan(band(np.array([1.0])).half)
 
 
-def row(world: str, strategy: str, way: float, moved: float, area: float = 0.5) -> Row:
-    return Row(world, "rooms", strategy, 10, 0.5, 0.9, area, moved, way, 0.1, 0.2)
+def row(world: str, strategy: str, distance: float, moved: float, area: float = 0.5) -> Row:
+    return Row(world, "rooms", strategy, 10, 0.5, 0.9, area, moved, distance, 0.1, 0.2)
 
 
 def test_comparison_is_paired_over_worlds() -> None:
@@ -78,11 +80,11 @@ def test_comparison_is_paired_over_worlds() -> None:
 
 
 def test_savings_are_drawn_with_their_bounds(tmp_path: Path) -> None:
-    ways = {"a": (80.0, 100.0), "b": (90.0, np.inf), "c": (np.inf, 50.0)}
+    distances = {"a": (80.0, 100.0), "b": (90.0, np.inf), "c": (np.inf, 50.0)}
     rows = [
-        row(world, name, way, min(way, 95.0))
-        for world, both in ways.items()
-        for name, way in zip(("own", "other"), both, strict=True)
+        row(world, name, distance, min(distance, 95.0))
+        for world, both in distances.items()
+        for name, distance in zip(("own", "other"), both, strict=True)
     ]
     kinds = [one.kind for one in savings_of(rows, "own", "other")]
     assert kinds == ["exact", "at least", "at most"]
@@ -103,7 +105,7 @@ def test_savings_are_drawn_with_their_bounds(tmp_path: Path) -> None:
         ((np.inf, 50.0), (np.inf, 100.0), np.nan, "unknown"),
     ],
 )
-def test_ways_that_do_not_arrive_are_bounds(
+def test_distances_that_do_not_arrive_are_bounds(
     own: tuple[float, float], other: tuple[float, float], share: float, kind: str
 ) -> None:
     found = saving(own, other)
@@ -128,13 +130,13 @@ def test_tours_are_nearly_the_shortest() -> None:
     assert max(excess) < 1.1
 
 
-def record(seed: int, strategy: str, ways: list[float], shares: list[float]) -> Record:
+def record(seed: int, strategy: str, distances: list[float], shares: list[float]) -> Record:
     task = Task(WorldName("caves", seed), strategy, ExplorationConfig(), 10)
-    found = Exploration(np.array(shares), np.array(ways), *[np.zeros(1)] * 3, ended="")
+    found = Exploration(np.array(shares), np.array(distances), *[np.zeros(1)] * 3, ended="")
     return Record(task, found)
 
 
-def test_ways_of_baselines_are_compared_where_both_came_so_far() -> None:
+def test_distances_of_baselines_are_compared_where_both_came_so_far() -> None:
     nearest, tour = BASELINES[:2]
     records = [
         record(0, nearest, [0.0, 100.0, 300.0], [0.1, 0.5, 0.9]),
@@ -142,12 +144,12 @@ def test_ways_of_baselines_are_compared_where_both_came_so_far() -> None:
         record(1, nearest, [0.0, 200.0, 300.0], [0.1, 0.6, 0.9]),
         record(1, tour, [0.0, 400.0, 900.0], [0.1, 0.5, 0.8]),  # ends before
     ]
-    half = way_ratio(records, "FrontierTour", "NearestFrontier", 0.5)
+    half = length_ratio(records, "FrontierTour", "NearestFrontier", 0.5)
     assert (half.mean, half.count) == (pytest.approx(1.0), 2)  # of 1/2 and 2
-    last = way_ratio(records, "FrontierTour", "NearestFrontier", 0.9)
+    last = length_ratio(records, "FrontierTour", "NearestFrontier", 0.9)
     assert (last.mean, last.count) == (pytest.approx(0.2), 1)
     assert (
-        way_ratio(records, "FrontierTour", "NearestFrontier", 0.1).count == 0
+        length_ratio(records, "FrontierTour", "NearestFrontier", 0.1).count == 0
     )  # by the first view
     line = relations(records, 0.9).splitlines()[2]
     assert line.startswith("| FrontierTour | NearestFrontier | all |")

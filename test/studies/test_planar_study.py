@@ -16,7 +16,6 @@ from typer.testing import CliRunner
 from infomap_ros.cli import app
 from infomap_ros.errors import ConfigError
 from infomap_ros.mapping import VoxelMap
-from infomap_ros.studies.common.runs import Kept
 from infomap_ros.studies.planar.explore import (
     INFORMATION,
     Exploration,
@@ -39,6 +38,7 @@ from infomap_ros.studies.planar.world import (
     make_world,
     take_scan,
 )
+from infomap_ros.studies.runs import Kept
 from infomap_ros.views.information.view_information import ExpectedInformation
 from infomap_ros.views.ranking.options import Options
 from infomap_ros.views.ranking.rating import Ratings
@@ -189,7 +189,7 @@ def test_command_leaves_tables_and_figures(tmp_path: Path, monkeypatch) -> None:
     strategies = "largest_information,my_strategy.Thrifty"
     result = CliRunner().invoke(app, [*command, "--strategies", strategies])
     assert result.exit_code == 0, result.output
-    for name in ("planar_curves", "planar_by_kind", "planar_ways"):
+    for name in ("planar_curves", "planar_by_kind", "planar_paths"):
         assert (tmp_path / "out" / f"{name}.png").stat().st_size > 5000
         assert (tmp_path / "out" / f"{name}.svg").read_text().startswith("<?xml")
     with (tmp_path / "out" / "planar.csv").open() as file:

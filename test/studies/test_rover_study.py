@@ -16,9 +16,13 @@ from infomap_ros.cli import app
 from infomap_ros.geometry import PinholeCamera, make_transform
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap
-from infomap_ros.studies.common.runs import Kept
-from infomap_ros.studies.rover.explore import OneWayRaster, RoverExploration, RoverTask, SweepRaster
-from infomap_ros.studies.rover.rover_study import (
+from infomap_ros.studies.rover_exploration import (
+    OneDirectionRaster,
+    RoverExploration,
+    RoverTask,
+    SweepRaster,
+)
+from infomap_ros.studies.rover_study import (
     OWN,
     RoverStudyConfig,
     complete,
@@ -28,6 +32,7 @@ from infomap_ros.studies.rover.rover_study import (
     rows_of,
     tasks_of,
 )
+from infomap_ros.studies.runs import Kept
 from infomap_ros.views.sampling.orientations import look_rotations
 from infomap_ros.views.situation import RegionOfTask, Situation
 
@@ -148,12 +153,12 @@ def test_sweep_goes_on_along_its_row_and_keeps_its_heading() -> None:
     assert list(np.argsort(-SweepRaster().score(options, ratings).values)) == [0, 3, 1, 2]
 
 
-def test_one_way_scan_turns_only_where_no_view_is_left_that_way() -> None:
+def test_one_direction_scan_turns_only_where_no_view_is_left_in_it() -> None:
     first, here = looking(0.2, 0.2, 0.3), looking(0.6, 0.2, 0.5)
     poses = np.array([looking(-0.6, 0.2, 0.6), looking(-0.2, 0.2, 2.0), looking(-1.0, 0.2, 0.2)])
     options = options_at(here, [first, here], poses)
     ratings: Any = None
-    values = OneWayRaster().score(options, ratings).values
+    values = OneDirectionRaster().score(options, ratings).values
     # the row runs towards -x; the next place, from which the camera would turn, comes last
     assert list(np.argsort(-values)) == [0, 2, 1]
     assert list(np.argsort(-SweepRaster().score(options, ratings).values)) == [1, 0, 2]

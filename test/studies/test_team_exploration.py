@@ -11,9 +11,9 @@ import pytest
 from infomap_ros.cli.command_options import with_settings
 from infomap_ros.errors import ExplorationError, PoseUnavailableError
 from infomap_ros.simulation.exploring.simulated_robot import SimulatedRobot
-from infomap_ros.simulation.multi_robot.radio import Channel, Radio
-from infomap_ros.simulation.multi_robot.turns import SwitchedOff, Turns
+from infomap_ros.simulation.turns import SwitchedOff, Turns
 from infomap_ros.studies.team.team_exploration import TeamExploration
+from infomap_ros.studies.team.team_network import Channel, Radio
 from infomap_ros.studies.team.team_robot import TeamExplorationOptions
 
 SMALL = (

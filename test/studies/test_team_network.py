@@ -25,7 +25,7 @@ def test_what_one_robot_sees_the_other_has_within_two_seconds(loss: float) -> No
 
     assert len(meter.lags) == 8
     assert max(meter.lags) < 2.0
-    assert min(robot.told for robot in network.robots) > 2000
+    assert min(robot.changed for robot in network.robots) > 2000
     assert len({robot.member.replica.hash() for robot in network.robots}) == 1
 
 

@@ -38,10 +38,10 @@ def introduce(first: VoxelMap, second: VoxelMap) -> TeamMember:
     hearer, speaker = (TeamMember(robot, 1, 100, CONFIG) for robot in range(2))
     for member, own in ((hearer, first), (speaker, second)):
         member.begin(own)
-    hearer.tell(first, 0.0)
+    hearer.updates(first, 0.0)
     for step in range(20):
-        for rows in speaker.tell(second, 0.1 * step):
-            hearer.hear_update(rows, 0.1 * step)
+        for rows in speaker.updates(second, 0.1 * step):
+            hearer.receive_update(rows, 0.1 * step)
     assert hearer.replica.aside == (1,)
     hearer.digests(3.0)
     return hearer
@@ -90,14 +90,14 @@ def test_after_a_move_others_follow_and_the_old_place_is_taken_back() -> None:
     hearer, speaker = (TeamMember(robot, 1, 100, CONFIG) for robot in range(2))
     wrong = seen_from([0.0], SHIFT)
     speaker.begin(wrong)
-    for rows in speaker.tell(wrong, 0.0):
-        hearer.hear_update(rows, 0.0)
+    for rows in speaker.updates(wrong, 0.0):
+        hearer.receive_update(rows, 0.0)
     right = moved_map(wrong, np.linalg.inv(SHIFT))
 
     speaker.replace(right)
     for step in range(1, 20):
-        for rows in speaker.tell(right, 0.5 * step):
-            hearer.hear_update(rows, 0.5 * step)
+        for rows in speaker.updates(right, 0.5 * step):
+            hearer.receive_update(rows, 0.5 * step)
     hearer.digests(20.0)
 
     assert hearer.replica.voxel_map.known_voxels == right.known_voxels

@@ -28,7 +28,7 @@ from infomap_ros.team.digest import (
     decode_request,
 )
 from infomap_ros.team.member import TeamMember
-from infomap_ros.team.membership import AHEAD, TELLS_ITSELF, TOO_MANY, TeamKey
+from infomap_ros.team.membership import AHEAD, PUBLISHES_ITSELF, TOO_MANY, TeamKey
 from infomap_ros.team.replica import MapReplica
 from infomap_ros.team.update import MapUpdate, message_bytes
 from infomap_ros.team.wire import decode_update, encode_update
@@ -89,7 +89,7 @@ def heard(member: TeamMember, messages: list[np.ndarray], now: float) -> Counter
     became: Counter[str] = Counter()
     for rows in messages:
         try:
-            member.hear_update(rows, now)
+            member.receive_update(rows, now)
             became["heard"] += 1
         except InfomapError as error:
             became[getattr(error, "reason", type(error).__name__)] += 1
@@ -114,7 +114,7 @@ def cells(sender: int, robot: int, count: int, number: int = 0) -> list[np.ndarr
 
 def test_robots_that_nobody_knows_take_little_and_are_not_more_than_a_team() -> None:
     member, own = begun()
-    member.tell(own, 0.0)
+    member.updates(own, 0.0)
     before, became = member.replica.memory_bytes(), Counter[str]()
     for robot in range(100, 1100):
         became += heard(member, states(robot, np.array([[0, 0, 30]])), 0.0)
@@ -135,12 +135,12 @@ def test_the_memory_of_a_contribution_is_that_of_its_arrays() -> None:
 def test_a_summary_does_not_send_a_robot_where_nobody_hears_it() -> None:
     member, own = begun()
     mate, now = TeamMember(2, 22, START, CONFIG), 0.0
-    became = heard(mate, member.tell(own, now), now)
-    member.hear_digest(summary(3, r1=(START + 2**31 - 2)), now)
+    became = heard(mate, member.updates(own, now), now)
+    member.receive_digest(summary(3, r1=(START + 2**31 - 2)), now)
     for seed in range(20):
         now += 0.1
         look(own, seed)
-        became += heard(mate, member.tell(own, now), now)
+        became += heard(mate, member.updates(own, now), now)
 
     assert set(became) == {"heard"}
     assert member.version - START < 100
@@ -151,16 +151,16 @@ def test_a_robot_whose_clock_went_back_follows_one_a_little_and_two_far() -> Non
     for said, version in (([START + 2**28], START + 2**28), ([START + 2**31 - 9], START)):
         member = TeamMember(1, 11, START, CONFIG)
         for sender, newest in enumerate(said):
-            member.hear_digest(summary(3 + sender, r1=newest), 0.0)
+            member.receive_digest(summary(3 + sender, r1=newest), 0.0)
         assert member.version == version
-    member.hear_digest(summary(7, r1=START + 2**31 - 20), 1.0)
+    member.receive_digest(summary(7, r1=START + 2**31 - 20), 1.0)
     assert member.version == START + 2**31 - 20
 
 
 def test_who_is_heard_cannot_be_told_of_by_another_what_it_has_not_said() -> None:
     member, own = begun()
     mate, now = TeamMember(2, 22, START, CONFIG), 1.0
-    heard(mate, member.tell(own, now), now)
+    heard(mate, member.updates(own, now), now)
     told = mate.replica.contribution(1).states(1)
     before = mate.replica.hash()
 
@@ -171,7 +171,7 @@ def test_who_is_heard_cannot_be_told_of_by_another_what_it_has_not_said() -> Non
     ):  # newer, or of where it has not been
         told_of = told.indices + place
         forged = states(1, told_of, START + ahead, -SHARED_LOG_ODDS_LIMIT, sender=9)
-        assert set(heard(mate, forged, now)) == {TELLS_ITSELF}
+        assert set(heard(mate, forged, now)) == {PUBLISHES_ITSELF}
     assert mate.replica.hash() == before
     later = states(1, told.indices[:9], START + 2**31 - 5, 5, sender=9)
     assert set(heard(mate, later, now + 60.0)) == {AHEAD}
@@ -200,11 +200,11 @@ def test_hand_backs_count_only_while_a_robot_recovers() -> None:
     now, box = 0.0, np.indices((16, 16, 16)).reshape(3, -1).T + 100
     for _ in range(300):
         now += 0.1
-        member.tell(own, now)
+        member.updates(own, now)
         member.digests(now)
     before = own.known_voxels
     heard(member, states(1, box, START + 5, SHARED_LOG_ODDS_LIMIT, sender=9), now)
-    told = member.tell(own, now + 0.1)
+    told = member.updates(own, now + 0.1)
     assert own.known_voxels == before
     again = TeamMember(2, 22, START, CONFIG)
     heard(again, told, now)
@@ -223,7 +223,7 @@ def fill(member: TeamMember, robot: int, now: float, places: int = 12) -> Counte
 
 def test_who_fills_the_memory_gives_way_to_the_others() -> None:
     member, own = begun(config=SMALL)
-    member.tell(own, 0.0)
+    member.updates(own, 0.0)
     filled = fill(member, 9, 0.0)
     assert filled["CapacityError"] > 0
     assert member.replica.memory_bytes() <= 0.75 * 0.03e9
@@ -233,8 +233,8 @@ def test_who_fills_the_memory_gives_way_to_the_others() -> None:
     for seed in range(10):
         now += 0.5
         look(own, seed)
-        assert member.tell(own, now), "it tells its own"
-        became += heard(member, mate.tell(theirs, now), now)
+        assert member.updates(own, now), "it tells its own"
+        became += heard(member, mate.updates(theirs, now), now)
     assert set(became) == {"heard"}
     assert member.replica.contribution(2).hash() == mate.replica.contribution(2).hash()
 
@@ -262,7 +262,7 @@ def test_telling_again_what_is_told_takes_no_memory() -> None:
 
 def test_a_contribution_that_was_cut_is_asked_for_again_when_there_is_room() -> None:
     member, own = begun(config=SMALL)
-    member.tell(own, 0.0)
+    member.updates(own, 0.0)
     fill(member, 9, 0.0)
     fill(member, 8, 0.0)
     member.digests(1.0)
@@ -299,7 +299,7 @@ def test_what_there_is_no_room_for_is_told_later() -> None:
     member.begin(own)
     waiting = changed_blocks(own._storage)[1].sum()
     with pytest.raises(CapacityError):
-        member.tell(own, 0.0)
+        member.updates(own, 0.0)
     assert changed_blocks(own._storage)[1].sum() == waiting
 
 
@@ -313,11 +313,11 @@ def test_rows_in_no_order_take_no_more_memory() -> None:
 @pytest.mark.parametrize("robot", [7, 1])
 def test_digests_of_blocks_that_do_not_exist_cost_a_few_times_their_bytes(robot: int) -> None:
     member, own = begun(team=(1, 7), config=CONFIG)
-    member.tell(own, 0.0)
+    member.updates(own, 0.0)
     size = asked = 0
     for rows in cells(7, robot, 20_000):
         size += message_bytes(rows)
-        member.hear_digest(rows, 0.0)
+        member.receive_digest(rows, 0.0)
     assert len(member._reconciler._missed) <= MOST_MISSED
     now = 0.0
     while now < MISSED_FOR + 10.0:
@@ -330,7 +330,7 @@ def test_digests_of_blocks_that_do_not_exist_cost_a_few_times_their_bytes(robot:
 def test_who_has_died_is_not_asked_for_ever() -> None:
     member, _ = begun()
     for rows in cells(7, 7, 500):
-        member.hear_digest(rows, 0.0)
+        member.receive_digest(rows, 0.0)
     asked = [sum(map(message_bytes, member.requests(0.1 * tick))) for tick in range(1, 600)]
     assert sum(asked[:100]) > 500 * 12
     assert sum(asked[400:]) == 0
@@ -350,15 +350,15 @@ def test_what_others_ask_and_say_leaves_room_to_tell_the_map() -> None:
             if hostile:
                 for sender in (7, 8, 9):
                     for rows in cells(sender, sender, 500, number):
-                        member.hear_digest(rows, now)
+                        member.receive_digest(rows, now)
                     number += 1
                     for wants in ("cells", "messages"):
                         who = sender, 70, 1, 11, 1
                         none = np.empty((0, 3), np.int32)
                         for rows in Request(*who, wants, 0, 0, none).encode(60_000, number):
-                            member.hear_request(rows, now)
+                            member.receive_request(rows, now)
                         number += 1
-            bytes_told += sum(map(message_bytes, member.tell(own, now)))
+            bytes_told += sum(map(message_bytes, member.updates(own, now)))
             spoken = member.digests(now) + member.requests(now)
             told.append(sum(map(message_bytes, spoken)))
         told[-100:] = [bytes_told, sum(told[-100:])]
@@ -371,41 +371,41 @@ def test_one_summary_asks_for_no_more_robots_than_a_team_has() -> None:
     member, _ = begun()
     rows = np.zeros(1000, SUMMARY_ROW)
     rows["robot"], rows["newest"], rows["hash"] = np.arange(1000), START, 3
-    member.hear_digest(Summary(7, 70, rows).encode(), 1.0)
+    member.receive_digest(Summary(7, 70, rows).encode(), 1.0)
     asked = [decode_request(told) for told in member.requests(1.0)]
     assert 0 < len(asked) <= MOST_ROBOTS
     with pytest.raises(InfomapError, match="contributions"):
-        member.hear_digest(Summary(7, 70, np.repeat(rows[:2], 2)).encode(1), 1.0)
+        member.receive_digest(Summary(7, 70, np.repeat(rows[:2], 2)).encode(1), 1.0)
 
 
 def test_a_request_that_is_repeated_is_refused() -> None:
     member, own = begun(team=(1, 2), key=KEY)
     for tick in range(20):
-        member.tell(own, 0.1 * tick)
+        member.updates(own, 0.1 * tick)
         member.digests(0.1 * tick)
     none, now = np.empty((0, 3), np.int32), 10.0
     for wants in ("states", "cells", "messages"):
         number = len(wants)
         (asked,) = Request(2, 5, 1, 11, 1, wants, 0, 0, none).encode(60_000, number)
-        member.hear_request(KEY.sign(asked), now)
+        member.receive_request(KEY.sign(asked), now)
         for session in (11, 12):
             again = TeamMember(1, session, START, CONFIG, team=(1, 2), key=KEY)
             hearer = member if session == 11 else again
             with pytest.raises(UpdateRefusedError) as refused:
-                hearer.hear_request(KEY.sign(asked), now)
+                hearer.receive_request(KEY.sign(asked), now)
             assert refused.value.reason == REPEATED
     answers = sum(map(message_bytes, member.digests(now)))
     for _ in range(100):
         with pytest.raises(UpdateRefusedError):
-            member.hear_request(KEY.sign(asked), now)
+            member.receive_request(KEY.sign(asked), now)
     assert sum(map(message_bytes, member.digests(now + 0.1))) <= answers
 
 
 def test_digests_that_are_repeated_are_refused_and_may_overtake_each_other() -> None:
     member, _ = begun(team=(1, 2), key=KEY)
     for number in (5, 9, 7, 300):
-        member.hear_digest(KEY.sign(summary(2, number, r2=START)), 0.0)
+        member.receive_digest(KEY.sign(summary(2, number, r2=START)), 0.0)
     for number in (5, 9, 7, 300, 20):
         with pytest.raises(UpdateRefusedError) as refused:
-            member.hear_digest(KEY.sign(summary(2, number, r2=START)), 0.0)
+            member.receive_digest(KEY.sign(summary(2, number, r2=START)), 0.0)
         assert refused.value.reason == REPEATED

@@ -13,7 +13,7 @@ from infomap_ros.mapping import NOT_OBSERVED, VoxelMap, VoxelMapConfig
 from infomap_ros.team.config import TeamConfig
 from infomap_ros.team.digest import REPEATED
 from infomap_ros.team.member import TeamMember
-from infomap_ros.team.membership import TELLS_ITSELF, TWO_OF_A_NAME
+from infomap_ros.team.membership import PUBLISHES_ITSELF, TWO_OF_A_NAME
 from infomap_ros.team.update import MapUpdate
 
 CONFIG = VoxelMapConfig(voxel_size=0.1, max_range=3.0)
@@ -45,11 +45,11 @@ class Robot:
         pose[:3, 3] = rng.uniform(-0.6, 0.6, 3)
         self.own.integrate(points, pose)
 
-    def hear(self, message: Message, now: float) -> None:
+    def receive(self, message: Message, now: float) -> None:
         kind, _, rows = message
         member = self.member
-        hear = {"digest": member.hear_digest, "request": member.hear_request}
-        hear.get(kind, member.hear_update)(rows, now)
+        receive = {"digest": member.receive_digest, "request": member.receive_request}
+        receive.get(kind, member.receive_update)(rows, now)
 
     @property
     def is_told(self) -> bool:
@@ -60,7 +60,7 @@ class Robot:
         return {v: s[0] for v, s in told.items()} == {v: s[0] for v, s in own.items()}
 
     def say(self, now: float) -> list[Message]:
-        told = [("update", self.number, rows) for rows in self.member.tell(self.own, now)]
+        told = [("update", self.number, rows) for rows in self.member.updates(self.own, now)]
         told += [("digest", self.number, rows) for rows in self.member.digests(now)]
         return told + [("request", self.number, rows) for rows in self.member.requests(now)]
 
@@ -106,10 +106,10 @@ class Team:
             for place in rng.permutation(len(inbox)):
                 for _ in range(rng.choice([1, 1, 1, 2])):
                     try:
-                        robot.hear(inbox[place], self.now)
+                        robot.receive(inbox[place], self.now)
                     except UpdateRefusedError as error:  # so late that it seems another robot's
                         allowed = (TWO_OF_A_NAME,) if self.may_be_late else ()
-                        assert error.reason in (REPEATED, TELLS_ITSELF, *allowed)
+                        assert error.reason in (REPEATED, PUBLISHES_ITSELF, *allowed)
 
     def settle(self) -> None:
         """A network without loss, until all hold the same; fails where that never happens."""

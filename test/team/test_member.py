@@ -48,9 +48,9 @@ def talk(
         now += 0.1
         for speaker, own in parts:
             for name, messages in (
-                ("hear_update", speaker.tell(own, now)),
-                ("hear_digest", speaker.digests(now)),
-                ("hear_request", speaker.requests(now)),
+                ("receive_update", speaker.updates(own, now)),
+                ("receive_digest", speaker.digests(now)),
+                ("receive_request", speaker.requests(now)),
             ):
                 for rows in messages:
                     for hearer, _ in parts:
@@ -136,7 +136,7 @@ def test_the_bandwidth_is_kept() -> None:
     sent, now = 0, 0.0
     while own.known_voxels > part.replica.voxel_map.known_voxels and now < 20.0:
         now += 0.1
-        sent += sum(rows.nbytes for rows in part.tell(own, now))
+        sent += sum(rows.nbytes for rows in part.updates(own, now))
 
     assert own.known_voxels == part.replica.voxel_map.known_voxels
     assert now > 0.5
@@ -147,12 +147,12 @@ def test_what_tells_most_goes_first() -> None:
     part, own = member(0, config=TeamConfig(bandwidth=0.02)), make_map(1, 1, 1, 1, 1)
     part.begin(own)
     for tick in range(1, 40):
-        part.tell(own, float(tick))
+        part.updates(own, float(tick))
     before = own.voxels()[0]
     look(own, 1)
     look(own, 2)
 
-    news = np.concatenate([decode_update(rows).indices for rows in part.tell(own, 41.0)])
+    news = np.concatenate([decode_update(rows).indices for rows in part.updates(own, 41.0)])
 
     was_known = (news[:, None] == before[None]).all(axis=2).any(axis=1)
     assert len(news) > 50
@@ -160,11 +160,11 @@ def test_what_tells_most_goes_first() -> None:
 
 
 def test_a_listener_asks_but_tells_nothing() -> None:
-    listener = TeamMember(0, 0, 1, CONFIG, TEAM, tells=False)
+    listener = TeamMember(0, 0, 1, CONFIG, TEAM, contributes=False)
     robot = member(0), make_map(1)
     empty = make_map()
     robot[0].begin(robot[1])
-    lost = robot[0].tell(robot[1], 0.0)
+    lost = robot[0].updates(robot[1], 0.0)
 
     now = talk([robot, (listener, empty)], 0.0, 4.0)
 
@@ -176,16 +176,16 @@ def test_a_listener_asks_but_tells_nothing() -> None:
 def test_a_starting_robot_does_not_ask_for_what_others_only_lag_behind_in() -> None:
     robot, mate = (member(0), make_map(1, 2)), (member(1), make_map())
     robot[0].begin(robot[1])
-    for rows in robot[0].tell(robot[1], 0.0)[::2]:
-        mate[0].hear_update(rows, 0.0)
+    for rows in robot[0].updates(robot[1], 0.0)[::2]:
+        mate[0].receive_update(rows, 0.0)
     wanted = []
     for now in (0.1, 1.2):
         for rows in mate[0].digests(now):
-            robot[0].hear_digest(rows, now)
+            robot[0].receive_digest(rows, now)
         for rows in robot[0].requests(now):
-            mate[0].hear_request(rows, now)
+            mate[0].receive_request(rows, now)
         for rows in mate[0].digests(now + 0.1):
-            robot[0].hear_digest(rows, now + 0.1)
+            robot[0].receive_digest(rows, now + 0.1)
         asked = [decode_request(rows) for rows in robot[0].requests(now + 0.1)]
         wanted.append([one.wants for one in asked if one.robot == 0 and one.wants == "states"])
     assert wanted == [[], ["states"]]
@@ -202,7 +202,7 @@ def test_a_digest_with_a_repeated_block_is_refused(corners: list[list[int]]) -> 
     digest = block_digest(corners, list(range(1, 1 + len(corners))))
     robot = member(0)
     with pytest.raises(InvalidInputError, match="repeated"):
-        robot.hear_digest(digest.encode(2000)[0], 0.0)
+        robot.receive_digest(digest.encode(2000)[0], 0.0)
     assert robot.requests(0.1) == []
 
 
@@ -213,7 +213,7 @@ def test_each_row_of_a_digest_has_its_own_answer() -> None:
     now = 10.0  # nothing is recovered any more
     for number, (hashes, wanted) in enumerate((([1, 2, 3], []), ([9, 2, 8], [[1, 0, 0]]))):
         digest = block_digest([[0, 0, 0], [1, 0, 0], [2, 0, 0]], hashes)
-        robot.hear_digest(digest.encode(2000, number)[0], now)
+        robot.receive_digest(digest.encode(2000, number)[0], now)
         asked = [decode_request(rows) for rows in robot.requests(now)]
         found = [one.corners.tolist() for one in asked if one.wants == "states"]
         assert found == ([wanted] if wanted else [])
@@ -225,6 +225,6 @@ def test_what_others_say_of_blocks_does_not_grow_without_limit() -> None:
         corners = np.indices((32, 32, 32)).reshape(3, -1).T + np.array([0, 0, 32 * part])
         digest = block_digest(corners.tolist(), [1] * len(corners), sender=1 + part)
         for rows in digest.encode(1_000_000):
-            robot.hear_digest(rows, 10.0)
+            robot.receive_digest(rows, 10.0)
         held = len(robot._reconciler._held)
     assert held == 1 << 16

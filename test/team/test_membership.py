@@ -175,6 +175,6 @@ def test_the_code_is_the_hmac_of_what_its_description_says() -> None:
 
 def test_states_that_are_passed_on_leave_the_update_as_it_was() -> None:
     told = update(3, 7)
-    later = told.as_told_by(1, None, 9)
+    later = told.as_sent_by(1, None, 9)
     assert (later.versions == 9).all()
     assert (told.versions == 7).all()

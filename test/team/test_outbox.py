@@ -111,14 +111,14 @@ def test_what_changed_a_little_waits_until_nothing_else_does() -> None:
     part, own = TeamMember(0, 1, 100, CONFIG, config), mapped(6)
     part.begin(own)
     for tick in range(1, 40):
-        part.tell(own, float(tick))
+        part.updates(own, float(tick))
     look(own, 50)
     wall = np.column_stack([np.random.default_rng(1).uniform(-1.0, 1.0, (300, 2)), np.ones(300)])
     own.integrate(wall, make_transform(np.eye(3), [0.3, 0.2, 0.5]))
     now, full, (matter, left) = 41.0, 0, weighed(part, own)
     while left > 0.0 and now < 80.0:
         now += 0.1
-        messages = part.tell(own, now)
+        messages = part.updates(own, now)
         told = {tuple(place) for rows in messages for place in decode_update(rows).indices.tolist()}
         before, (matter, left) = matter, weighed(part, own)
         if left > 0.0:
@@ -127,7 +127,7 @@ def test_what_changed_a_little_waits_until_nothing_else_does() -> None:
     assert full > 3
     for _ in range(200):
         now += 0.1
-        part.tell(own, now)
+        part.updates(own, now)
     assert not len(changed_blocks(own._storage)[0])
 
 

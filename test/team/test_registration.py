@@ -131,6 +131,14 @@ def test_other_rooms_are_refused() -> None:
         aligned_maps([NamedMap("a", first), NamedMap("b", second)])
 
 
+def test_maps_that_cannot_be_joined_are_refused_before_they_are_registered() -> None:
+    """Also by those that would be reached last."""
+    coarse = VoxelMap(VoxelMapConfig(voxel_size=0.2))
+    empty = VoxelMap(VoxelMapConfig(voxel_size=0.1))
+    with pytest.raises(InvalidInputError, match=r"voxels of 0\.1 m and 0\.2 m"):
+        aligned_maps([NamedMap("a", empty), NamedMap("b", empty), NamedMap("c", coarse)])
+
+
 def test_a_map_of_next_to_nothing_is_refused() -> None:
     whole = looks(FURNISHED, (0.0,), np.eye(4))
     with pytest.raises(InvalidInputError, match="has 0 surface voxels"):

@@ -50,7 +50,7 @@ def merged(robots: list[VoxelMap]) -> MapReplica:
     for number, own in enumerate(robots):
         member = TeamMember(number, 1, 100, CONFIG, TeamConfig())
         member.begin(own)
-        for rows in member.tell(own, LONG_AGO):
+        for rows in member.updates(own, LONG_AGO):
             replica.apply(decode_update(rows))
     return replica
 
@@ -96,7 +96,7 @@ def test_when_a_robot_is_better_placed_than_it_was_all_is_told_again() -> None:
     for k, (points, offset) in enumerate([(WALL, 0.02), (beside, 0.02), (beside, 0.005)]):
         known = PoseUncertainty(along_z(0.001), offset=along_z(offset), clock=5.0 * k)
         own.integrate(points, np.eye(4), None, known)
-        for rows in member.tell(own, LONG_AGO + k):
+        for rows in member.updates(own, LONG_AGO + k):
             replica.apply(decode_update(rows))
         told, expected = (np.sqrt(surface(one)[1]) for one in (replica.voxel_map, own))
         assert told == pytest.approx(expected, rel=0.07)
@@ -108,9 +108,9 @@ def test_what_is_told_of_a_surface_is_told_once() -> None:
     own = mapped((5, 0.5, 0.003, 0.02), np.random.default_rng(3))
     member = TeamMember(0, 1, 100, CONFIG, TeamConfig(bandwidth=0.02))
     member.begin(own)
-    assert member.tell(own, LONG_AGO)
+    assert member.updates(own, LONG_AGO)
     own.mark_changed(0, 10**6)
-    assert not member.tell(own, LONG_AGO + 60.0)
+    assert not member.updates(own, LONG_AGO + 60.0)
 
 
 def test_a_moved_map_tells_the_error_that_all_of_it_shares() -> None:

@@ -19,7 +19,7 @@ from infomap_ros.geometry.resources import find_share
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.motion.robot.robot_model import RobotModel
 from infomap_ros.viewer import LivePage, PageConfig
-from infomap_ros.viewer.exploration_display import LogDisplay
+from infomap_ros.viewer.displays import LogDisplay
 from infomap_ros.viewer.run_panel import InterestBox
 
 ROVER = RobotModel.from_urdf(find_share("config/rover.urdf").read_text("utf-8"))
@@ -227,15 +227,15 @@ def test_a_box_is_handed_on_and_taken_away(run: Run, shown: Any) -> None:
     assert run.boxes[1] is None
 
 
-def test_robot_camera_and_ways_are_drawn_without_complaint(run: Run, shown: Any) -> None:
+def test_robot_camera_and_paths_are_drawn_without_complaint(run: Run, shown: Any) -> None:
     joints = {joint.name: 0.1 for joint in ROVER.joints}
     for step in range(5):
         base = make_transform(np.eye(3), (0.1 * step, 0.0, 0.0))
         run.page.robot.show(ROVER, base, joints)
         run.page.robot.show_camera(base, None)
     run.page.robot.show(ROVER, np.eye(4), {})  # its joints are not known
-    run.page.views.show_way(np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]]))
-    run.page.views.show_way(np.empty((0, 3)))
+    run.page.views.show_path(np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]]))
+    run.page.views.show_path(np.empty((0, 3)))
     run.page.views.show_chosen(None, None, "nothing is left")
     run.page.panel.add_point(math.nan, 0.5)
 

@@ -73,12 +73,12 @@ def voxel_gain(m: VoxelMap, known: bool, log_odds: float, config: InformationCon
     return weight * mutual_information(p, 0.25 * m.config.hit_quanta, 0.25 * m.config.miss_quanta)
 
 
-def clear_share(known: bool, log_odds: float, way: float, config: InformationConfig) -> float:
-    """Chance that a way through a voxel, in voxels, does not end there."""
+def clear_share(known: bool, log_odds: float, length: float, config: InformationConfig) -> float:
+    """Chance that a ray through a voxel, in voxels, does not end there."""
     p = 1.0 / (1.0 + math.exp(-log_odds))
     if not known or p <= config.hiding_probability:
         return 1.0
-    return 0.0 if p > 1.0 - config.certain_probability else (1.0 - p) ** way
+    return 0.0 if p > 1.0 - config.certain_probability else (1.0 - p) ** length
 
 
 def view_bits(

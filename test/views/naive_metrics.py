@@ -9,7 +9,7 @@ import numpy as np
 from infomap_ros.geometry import PinholeCamera
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.mapping.prediction import predict_unknown
-from infomap_ros.studies.metrics.published_metrics import PROXIMITY_STEPS
+from infomap_ros.studies.published_metrics import PROXIMITY_STEPS
 from infomap_ros.views.information.printed_metrics import GRAY_LEVELS
 from infomap_ros.views.information.view_query import InformationConfig
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from infomap_ros.errors import ConfigError, InvalidInputError
-from infomap_ros.studies.common.flight import Flight
+from infomap_ros.studies.flight import Flight
 from infomap_ros.views.decision import RatedView, why_this
 from infomap_ros.views.ranking.look_ahead import LookAhead, LookAheadConfig
 from infomap_ros.views.ranking.rating import Cost, Rating, RatingConfig
@@ -35,12 +35,12 @@ def seconds(start: np.ndarray, poses: list[np.ndarray], lengths: list[float]) ->
     return Duration(TIMES).between(start, np.array(poses), np.array(lengths))
 
 
-def test_a_drive_takes_the_time_of_way_turn_arm_and_look() -> None:
+def test_a_drive_takes_the_time_of_path_turn_arm_and_look() -> None:
     start = facing(0.0, START)
     there = facing(1.2, (3.5, 2.0, 1.2))
     by_hand = 3.0 / 0.5 + 1.2 / 0.8 + 2.0 * 4.0 + 2.0
     np.testing.assert_allclose(seconds(start, [there], [3.0]), by_hand, rtol=1e-6)
-    # No shorter than straight, which counts where no way is known.
+    # No shorter than straight, which counts where no path is known.
     by_hand = 2.0 / 0.5 + 1.2 / 0.8 + 2.0 * 4.0 + 2.0
     np.testing.assert_allclose(seconds(start, [there] * 2, [np.inf, 1.0]), by_hand, rtol=1e-6)
 
@@ -63,7 +63,7 @@ def test_the_rating_is_eq_11_with_seconds(situation: Situation) -> None:
     for i, information in enumerate((50.0, 80.0)):
         total = information / 200.0 - 0.004 * terms["duration"][i]
         assert rated.ratings[i] == pytest.approx(total * (1.0 - terms["risk"][i]))
-    np.testing.assert_allclose(rated.ways, terms["duration"] * TIMES.speed)
+    np.testing.assert_allclose(rated.distances, terms["duration"] * TIMES.speed)
 
 
 def test_a_faster_base_makes_far_views_cheaper(situation: Situation) -> None:
@@ -84,7 +84,7 @@ def test_a_faster_base_makes_far_views_cheaper(situation: Situation) -> None:
 def test_look_ahead_finds_the_sequence_that_is_best_in_seconds(
     situation: Situation, depth: int
 ) -> None:
-    """By the definition, with a second counted as the way that is driven in it."""
+    """By the definition, with a second counted as the distance that is driven in it."""
     config = LookAheadConfig(depth=depth, views=5, beam=1000, unlike_distance=0.0)
     gains = {1.9: 40, 2.3: 55, 3.0: 62, 3.6: 70, 4.1: 45}
     told = {x: dict.fromkeys(range(n0, n0 + gains[x]), 1.0) for x, n0 in zip(gains, (0, 20, 60, 90, 140), strict=True)}  # fmt: skip  # noqa: E501
@@ -148,7 +148,7 @@ def test_a_reason_is_read_at_a_glance() -> None:
     pose[:3, 3] = -123.4, -123.4, -12.3
     chosen = RatedView(pose, {"information": 123456.7, "distance": 123.4}, 1.0, 1.0)
     refused = RatedView(
-        pose, {}, 2.0, 2.0, "no way of the arm found in 3000 samples; straight on: no"
+        pose, {}, 2.0, 2.0, "no path of the arm found in 3000 samples; straight on: no"
     )
     told = why_this(chosen, [chosen, *[refused] * 1234], True, 1e6, "bits")
     assert len(f"largest_information: {told}".split()) <= 25

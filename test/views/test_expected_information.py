@@ -107,8 +107,8 @@ def test_sum_over_visible_voxels_one_by_one() -> None:
     distances = np.linalg.norm(offsets, axis=1)
     u, v = CAMERA.project(offsets @ pose[:3, :3]).T
     seen = (distances < 3.0) & (u > -0.5) & (u < 63.5) & (v > -0.5) & (v < 47.5)
-    free_way, _ = m.first_occupied(pose[:3, 3], offsets[seen], 3.0)
-    visible = distances[seen][free_way > distances[seen] - 0.05]
+    free_distance, _ = m.first_occupied(pose[:3, 3], offsets[seen], 3.0)
+    visible = distances[seen][free_distance > distances[seen] - 0.05]
     gain = naive.voxel_gain(m, False, 0.0, config)
     expected = gain * sum(naive.observed_share(m, r, config) for r in visible)
     assert bits == pytest.approx(expected, rel=0.02)

@@ -11,7 +11,7 @@ import numpy as np
 
 from infomap_ros.geometry import PinholeCamera
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
-from infomap_ros.studies.metrics.published_metrics import EVERY_METRIC
+from infomap_ros.studies.published_metrics import EVERY_METRIC
 from infomap_ros.views.information.view_information import expected_information, view_gains
 from infomap_ros.views.information.view_query import InformationConfig
 
@@ -26,7 +26,7 @@ from infomap_ros.mapping import VoxelMap
 from infomap_ros.views.information.view_information import expected_information
 from infomap_ros.views.information.view_query import InformationConfig
 from infomap_ros.views.information.view_information import view_gains
-from infomap_ros.studies.metrics.published_metrics import EVERY_METRIC
+from infomap_ros.studies.published_metrics import EVERY_METRIC
 
 assert config.DISABLE_JIT
 m, poses = VoxelMap.load(sys.argv[1]), np.load(sys.argv[2])

@@ -10,11 +10,12 @@ import pytest
 
 from infomap_ros.errors import ConfigError, InvalidInputError
 from infomap_ros.mapping import VoxelMap
-from infomap_ros.studies.common.flight import Flight, FlyingCamera
-from infomap_ros.studies.metrics.published_metrics import EVERY_METRIC
+from infomap_ros.studies.flight import Flight, FlyingCamera
+from infomap_ros.studies.published_metrics import EVERY_METRIC
 from infomap_ros.views.decision import GoalMemory, count_reasons
 from infomap_ros.views.information.view_information import ExpectedInformation, expected_information
 from infomap_ros.views.next_best_view import NextBestView, NextBestViewConfig
+from infomap_ros.views.sampling import surroundings
 from infomap_ros.views.sampling.candidates import CandidateConfig
 from infomap_ros.views.sampling.surroundings import SurroundingsConfig
 from infomap_ros.views.selection import SelectionConfig
@@ -234,8 +235,8 @@ def test_remembered_goals_are_not_tried_again(half_seen: Situation) -> None:
     assert any("no path" in view.rejection for view in decision.candidates)
 
 
-class LongWay(Robot):
-    """The way to one view is far longer than it looks."""
+class LongRoute(Robot):
+    """The route to one view is far longer than it looks."""
 
     def __init__(self, pose: np.ndarray, travel: float) -> None:
         super().__init__()
@@ -246,18 +247,18 @@ class LongWay(Robot):
         return Flight(travel=self.travel if np.array_equal(T_map_camera, self.pose) else 0.0)
 
 
-def test_view_loses_when_its_way_turns_out_long(half_seen: Situation) -> None:
+def test_view_loses_when_its_route_turns_out_long(half_seen: Situation) -> None:
     best = choose(half_seen).chosen
     assert best is not None
-    robot = LongWay(best.pose, 200.0)
+    robot = LongRoute(best.pose, 200.0)
     decision = choose(half_seen, robot)
     assert decision.chosen is not None and robot.planned == 2
     assert not np.array_equal(decision.chosen.pose, best.pose)
-    slightly = LongWay(best.pose, 0.1)
+    slightly = LongRoute(best.pose, 0.1)
     assert np.array_equal(choose(half_seen, slightly).chosen.pose, best.pose)
 
 
-def test_search_widens_where_nothing_near_is_worth_it() -> None:
+def test_search_widens_where_nothing_near_is_worth_it(monkeypatch: pytest.MonkeyPatch) -> None:
     poses = [*turning(START, 8), facing(0.0, (3.0, 2.0, 1.2)), *turning((8.0, 2.0, 1.2), 2)]
     voxel_map = seen_room(poses, (16.0, 4.0, 2.5))
     region = RegionOfTask((9.0, 0.0, 0.0), (16.0, 4.0, 2.5))
@@ -268,8 +269,8 @@ def test_search_widens_where_nothing_near_is_worth_it() -> None:
     assert decision.chosen.pose[0, 3] > START[0] + 2.0
     gaps = [np.linalg.norm(view.pose[:3, 3] - START) for view in decision.candidates]
     assert sum(gap < 2.0 for gap in gaps) > 10  # those considered first are not forgotten
-    short = SurroundingsConfig(horizon=2.0, largest_window=1000)
-    limited = choose(now, config=dataclasses.replace(FEW, surroundings=short))
+    monkeypatch.setattr(surroundings, "_LARGEST_WINDOW", 1000)
+    limited = choose(now, config=near)
     assert limited.chosen is None and "farther away" in limited.reason
 
 

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from infomap_ros.geometry import PinholeCamera, make_transform
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.mapping.voxels.window import UNKNOWN_QUANTA
-from infomap_ros.studies.metrics.published_metrics import EVERY_METRIC, near_share
+from infomap_ros.studies.published_metrics import EVERY_METRIC, near_share
 from infomap_ros.views.information.printed_metrics import stretched
 from infomap_ros.views.information.view_information import expected_information
 from infomap_ros.views.information.view_query import InformationConfig

@@ -8,7 +8,7 @@ import pytest
 from infomap_ros.geometry import PinholeCamera
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.mapping.voxels.state import put_states, unknown_states
-from infomap_ros.studies.common.flight import FreeFlight
+from infomap_ros.studies.flight import FreeFlight
 from infomap_ros.views.information.view_information import ExpectedInformation
 from infomap_ros.views.information.view_query import InformationConfig, camera_rays
 from infomap_ros.views.next_best_view import NextBestView, NextBestViewConfig

@@ -9,6 +9,7 @@ from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry import Box, PinholeCamera, PlacedSolid, Sphere, make_transform
 from infomap_ros.views.information.view_information import ExpectedInformation
 from infomap_ros.views.information.view_query import InformationConfig
+from infomap_ros.views.ranking import terms
 from infomap_ros.views.ranking.options import Options
 from infomap_ros.views.ranking.rating import Rating, RatingConfig, pose_information_loss
 from infomap_ros.views.ranking.terms import (
@@ -125,16 +126,21 @@ def test_what_a_like_view_has_not_told_is_taken_off(situation: Situation) -> Non
 
 
 def test_a_view_is_trusted_as_far_as_views_of_its_elevation_have_kept_their_promises(
-    situation: Situation,
+    situation: Situation, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Of three views upwards one told a half and two nothing; a level one told all."""
     up, level = facing(0.0, (1.5, 2.0, 1.2), 0.6), facing(0.0, (1.5, 2.0, 1.2))
     past, kept = np.stack([up, up, up, level]), np.array((0.5, 0.0, 0.0, 1.0))
     now = with_fields(situation, past_views=past, kept_shares=kept)
-    config = RatingConfig(trust_distance=1e3, trust_credit=0.5, repetition_elevation=0.05)
+    for name, value in (
+        ("_TRUST_DISTANCE", 1e3),
+        ("_TRUST_CREDIT", 0.5),
+        ("_LIKE_ELEVATION", 0.05),
+    ):
+        monkeypatch.setattr(terms, name, value)
     beside = facing(0.0, (2.5, 2.5, 1.2), 0.6)
     turned = facing(2.0, (1.5, 2.0, 1.2), 0.6)
-    rated = Rating(config).rate(
+    rated = Rating().rate(
         options_of(now, [beside, turned, level], [40.0, 40.0, 40.0], source=Prescribed({}))
     )
     alike = 3.0 * np.exp(-0.5 * (2.0 * np.cos(0.6) / TRUST_AZIMUTH) ** 2)

@@ -1,4 +1,4 @@
-"""Room, connection and ways in dense windows against slow, obvious answers."""
+"""Room, connection and paths in dense windows against slow, obvious answers."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from scipy.sparse.csgraph import dijkstra
 
 from infomap_ros.geometry import Box, PlacedSolid, make_transform
 from infomap_ros.mapping import FREE, OCCUPIED, UNCERTAIN, UNKNOWN
-from infomap_ros.views.sampling import space_kernels
+from infomap_ros.views.sampling import space_kernels, surroundings
 from infomap_ros.views.sampling.surroundings import SurroundingsConfig, horizons, survey
 from infomap_ros.views.situation import RegionOfTask, Situation
 
@@ -114,18 +114,18 @@ def test_space_behind_a_wall_is_free_but_not_reached(divided: Situation) -> None
     assert np.isinf(around.path_lengths(there)[0])
 
 
-def test_way_around_an_obstacle_is_longer_than_the_straight_line() -> None:
+def test_path_around_an_obstacle_is_longer_than_the_straight_line() -> None:
     screen = ((2.9, 0.9, 0.0, 3.1, 4.0, 2.5),)
     poses = [*turning(START, 8), *turning((4.6, 2.0, 1.2), 8), *turning((3.0, 0.5, 1.2), 8)]
     around = survey(Situation(seen_room(poses, ROOM, screen), CAMERA, 4.0, poses[0]))
     goal = np.array([(4.5, 2.0, 1.2), (2.0, 2.0, 1.2)])
     corner = np.array((3.0, 0.7, 1.2))
     shortest = np.linalg.norm(corner - START) + np.linalg.norm(goal[0] - corner)
-    way, direct = around.path_lengths(goal)
-    assert 0.9 * shortest < way < 1.25 * shortest
+    length, direct = around.path_lengths(goal)
+    assert 0.9 * shortest < length < 1.25 * shortest
     assert direct == pytest.approx(0.5, abs=0.1)
     back = around.path_lengths_from(goal[0], np.array([START]))[0]
-    assert back == pytest.approx(way, abs=0.3)
+    assert back == pytest.approx(length, abs=0.3)
 
 
 def test_own_body_is_free_and_only_it(divided: Situation) -> None:
@@ -163,10 +163,13 @@ def test_window_does_not_grow_with_the_map_beyond_the_horizon(divided: Situation
     assert not near.is_whole and survey(divided).is_whole
 
 
-def test_horizon_widens_as_far_as_is_affordable(divided: Situation) -> None:
+def test_horizon_widens_as_far_as_is_affordable(
+    divided: Situation, monkeypatch: pytest.MonkeyPatch
+) -> None:
     wide = list(horizons(divided, SurroundingsConfig(horizon=0.5)))
     assert [settings.horizon for settings in wide] == [0.5, 1.0, 2.0]
-    narrow = list(horizons(divided, SurroundingsConfig(horizon=0.5, largest_window=1000)))
+    monkeypatch.setattr(surroundings, "_LARGEST_WINDOW", 1000)
+    narrow = list(horizons(divided, SurroundingsConfig(horizon=0.5)))
     assert [settings.horizon for settings in narrow] == [0.5]
 
 

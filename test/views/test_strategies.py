@@ -172,7 +172,7 @@ def worth(
 ) -> float:
     """The definition, voxel by voxel."""
     told: dict[int, float] = {}
-    total, way, here = 0.0, 0.0, options.situation.position
+    total, distance, here = 0.0, 0.0, options.situation.position
     for turn, view in enumerate(order):
         news = sum(max(0.0, gain - told.get(key, 0.0)) for key, gain in gains[view].items())
         for key, gain in gains[view].items():
@@ -181,8 +181,8 @@ def worth(
         if turn == 0:
             step = float(ratings.terms["distance"][view])
         rating = (news / 100.0 - 0.02 * step) * (1.0 - ratings.terms["risk"][view])
-        way += step + config.cost_of_view
-        total += rating * (math.exp(-way / config.discount_distance) if rating > 0.0 else 1.0)
+        distance += step + config.cost_of_view
+        total += rating * (math.exp(-distance / config.discount_distance) if rating > 0.0 else 1.0)
         here = options.positions[view]
     return total
 

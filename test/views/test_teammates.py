@@ -9,7 +9,7 @@ import pytest
 
 from infomap_ros.geometry import PinholeCamera
 from infomap_ros.mapping import VoxelMap
-from infomap_ros.studies.common.flight import FlyingCamera
+from infomap_ros.studies.flight import FlyingCamera
 from infomap_ros.views.decision import ViewDecision
 from infomap_ros.views.information.view_information import ExpectedInformation
 from infomap_ros.views.next_best_view import NextBestView, NextBestViewConfig

@@ -47,7 +47,7 @@ def choice_from_text(text: str) -> Choice:
     """Read what `choice_to_text` wrote.
 
     Raises:
-        InvalidInputError: it is not such a text, or its numbers are not a way of a robot.
+        InvalidInputError: it is not such a text, or its numbers are not a route of a robot.
     """
     try:
         content = json.loads(text)
@@ -118,32 +118,32 @@ def _transform(rows: object) -> FloatArray:
 
 
 LARGEST = 250_000
-"""Of larger surfaces nothing is told: a log must stay small, and a choice quick."""
+"""Larger surfaces are not listed: a log must stay small, and a choice quick."""
 _KEY_BYTES = 8
 
 
 class SurfaceGrowth:
-    """Tells of each surface voxel once."""
+    """Lists each surface voxel once."""
 
     def __init__(self) -> None:
-        self._told = np.empty(0, np.int64)
+        self._listed = np.empty(0, np.int64)
 
     def text(self, voxel_map: VoxelMap) -> str:
-        """The surface voxels that no text before has told; empty where there are none.
+        """The surface voxels that no text before has listed; empty where there are none.
 
         Args:
             voxel_map: as it is now.
         """
         if voxel_map.surface_voxels > LARGEST:
             return ""
-        new = np.setdiff1d(pack_all(voxel_map.gaussians()[0].astype(np.int64)), self._told)
-        self._told = np.union1d(self._told, new)
+        new = np.setdiff1d(pack_all(voxel_map.gaussians()[0].astype(np.int64)), self._listed)
+        self._listed = np.union1d(self._listed, new)
         steps = np.diff(new, prepend=0).astype("<i8")  # small numbers, which zlib makes short
         return base64.b64encode(zlib.compress(steps.tobytes())).decode("ascii") if len(new) else ""
 
 
 def grown_voxels(text: str) -> NDArray[np.int64]:
-    """Voxel indices of what `SurfaceGrowth` has told, shape (K, 3).
+    """Voxel indices of what `SurfaceGrowth` has listed, shape (K, 3).
 
     Raises:
         RunLogError: it is no such text.

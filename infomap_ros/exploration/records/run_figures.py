@@ -61,7 +61,7 @@ def prediction_figures(run: RecordedRun) -> dict[str, float]:
     }
 
 
-_TOLD = 3
+_LISTED = 3
 
 
 def hindrance_figures(run: RecordedRun) -> dict[str, str]:
@@ -80,5 +80,5 @@ def hindrance_figures(run: RecordedRun) -> dict[str, str]:
 
 def commonest(reasons: Iterable[tuple[str, int]]) -> str:
     """The commonest reasons with their counts, the commonest first; empty for none."""
-    common = count_reasons(reasons).most_common(_TOLD)
+    common = count_reasons(reasons).most_common(_LISTED)
     return "; ".join(f"{reason} ({count})" for reason, count in common)

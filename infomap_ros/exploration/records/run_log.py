@@ -70,8 +70,10 @@ class RunLogFile:
         self._before = last_time(self._path) if append else 0.0
         if not append:
             write_text(self._path, "")
-        elif self._path.exists():  # does it end within a line, in which the process was killed?
-            self._add("" if self._path.read_bytes().endswith(b"\n") else "\n")
+        else:
+            self._add("")
+            if self._path.read_bytes()[-1:] not in (b"", b"\n"):  # killed within a line
+                self._add("\n")
         self._clock, self._start = clock, clock()
         self._on_entry, self._robot_clock = on_entry, robot_clock
 
@@ -82,8 +84,8 @@ class RunLogFile:
             OSError: the file cannot be written.
         """
         seconds = self._before + self._clock() - self._start
-        told = {} if self._robot_clock is None else {"clock": round(self._robot_clock(), 3)}
-        entry = {"t": round(seconds, 3), "kind": kind, **told, **plain(content)}
+        clock = {} if self._robot_clock is None else {"clock": round(self._robot_clock(), 3)}
+        entry = {"t": round(seconds, 3), "kind": kind, **clock, **plain(content)}
         self._add(json.dumps(entry, allow_nan=False) + "\n")
         if self._on_entry:
             self._on_entry(entry)
@@ -95,7 +97,7 @@ class RunLogFile:
 
 def last_time(path: Path) -> float:
     """Time of the last whole entry of a log [s]; 0 where there is none."""
-    if not path.exists():
+    if not path.is_file():
         return 0.0
     for line in reversed(path.read_text(encoding="utf-8", errors="replace").splitlines()):
         try:
@@ -284,8 +286,8 @@ def rating_text(rating: float | None, terms: Mapping[str, float]) -> str:
         rating: of the view; None or NaN where it was not rated.
         terms: of the rating, by name.
     """
-    told = ", ".join(f"{name.replace('_', ' ')} {number(v)}" for name, v in terms.items() if v)
-    return told if rating is None or rating != rating else f"rating {number(rating)}: {told}"
+    parts = ", ".join(f"{name.replace('_', ' ')} {number(v)}" for name, v in terms.items() if v)
+    return parts if rating is None or rating != rating else f"rating {number(rating)}: {parts}"
 
 
 def number(value: float) -> str:

@@ -38,7 +38,7 @@ from infomap_ros.mapping.files.pictures import MapImage, map_from_above
 
 LOG_FILE, MAP_FILE, SUMMARY_FILE = "exploration.jsonl", "map.infomap", "summary.json"
 
-_SHARES = (0.5, 0.8, 0.9)  # of the surface, for which the views and the way are told
+_SHARES = (0.5, 0.8, 0.9)  # of the surface, for which the views and the distance are told
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,7 +193,7 @@ def _rejections(runs: Mapping[str, RecordedRun]) -> str:
 
 
 def _maps(found: Mapping[str, RunFolder]) -> str:
-    """The map of each run from above, with its ways."""
+    """The map of each run from above, with its paths."""
     drawn = []
     for place, (name, one) in enumerate(found.items()):
         image = _above(one.map_file)
@@ -211,8 +211,8 @@ def _above(map_file: Path | None) -> MapImage | None:
 
 
 _KEYS = (
-    '<ul class="keys"><li><i class="key base"></i>ways of the bases, {names}</li>'
-    '<li><i class="key camera"></i>ways of the cameras</li>'
+    '<ul class="keys"><li><i class="key base"></i>paths of the bases, {names}</li>'
+    '<li><i class="key camera"></i>paths of the cameras</li>'
     '<li><i class="key dot view"></i>chosen views, with their numbers</li></ul>'
 )
 
@@ -244,7 +244,7 @@ def write_team_report(
     everything = _together(list(runs.values()))
     above = map_from_above(voxel_map)
     scene = scene_of(drawn_surface(voxel_map), above.cut, everything)
-    ways = plan(above, *runs.values())
+    paths = plan(above, *runs.values())
     styles = [
         f"{'solid' if number == 0 else 'dashed'}: {html.escape(name)}"
         for number, name in enumerate(runs)
@@ -252,7 +252,7 @@ def write_team_report(
     keys = _KEYS.format(names=", ".join(styles))
     parts = [
         Section("progress", "Coverage over views, meters and time", _curves(runs)),
-        Section("plan", "The ways of all robots", f'<div class="above">{ways}{keys}</div>'),
+        Section("plan", "The paths of all robots", f'<div class="above">{paths}{keys}</div>'),
         Section("task", "Task", sections.parameters_table(everything.start.task, TaskConfig)),
         Section("figures", "Figures", sections.parameters_table(figures or {})),
     ]
@@ -262,7 +262,7 @@ def write_team_report(
 
 
 def _together(runs: list[RecordedRun]) -> RecordedRun:
-    """One run with the decisions and ways of all, one robot after the other."""
+    """One run with the decisions and paths of all, one robot after the other."""
     records: list[Record] = [runs[0].start]
     for run in runs:
         records += [record for record in run.records if not isinstance(record, Start)]

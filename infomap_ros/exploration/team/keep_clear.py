@@ -1,7 +1,7 @@
 """A robot that stops for teammates while it moves.
 
-Ways of base and arm are planned around where the teammates are and where they said they go. Here
-the robot looks at them while it moves: where one has come too near to the way ahead, the robot
+Paths of base and arm are planned around where the teammates are and where they said they go. Here
+the robot looks at them while it moves: where one has come too near to the path ahead, the robot
 stops, waits until it has gone, and goes on; after some time it gives the motion up, so that another
 one is planned.
 """
@@ -12,22 +12,24 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import ClassVar, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from infomap_ros.exploration.robot import Interrupted, Motion, Robot, RobotState, spaced
 from infomap_ros.geometry import PlacedSolid
-from infomap_ros.geometry.config import check_config, parameter, setting
+from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.motion.robot.solid_extent import quick_extent, upright_extent
 from infomap_ros.motion.route import ArmPath
 from infomap_ros.team.agents import Agent
 
 PAUSE = 0.2
-"""Time between two looks whether the way is clear again [s]."""
+"""Time between two looks whether the path is clear again [s]."""
 
+_AHEAD = 1.0  # length of the path of the base ahead that must be clear [m]
+_WAIT_TIMEOUT = 15.0  # after which the motion is given up, and another one planned [s]
 _MORE = 0.1  # [m] by which a teammate must be farther away for the robot to go on
 
 
@@ -41,21 +43,12 @@ class KeepClearConfig:
 
     distance: float = parameter(
         0.2,
-        "The robot stops where a teammate's body comes nearer than this to its own along the way "
+        "The robot stops where a teammate's body comes nearer than this to its own along the path "
         "ahead of the base, or to the arm in what is left of its motion; teammates are taken for "
-        "upright cylinders. Below agents.clearance of next_best_view.",
+        "upright cylinders. Below the 0.3 m that next_best_view keeps.",
         unit="m",
         low=0.0,
         high=10.0,
-    )
-    ahead: ClassVar[float] = 1.0
-    """Length of the way of the base ahead that must be clear [m]."""
-    wait_timeout: float = setting(
-        15.0,
-        "After so long a wait the motion is given up, and another one planned.",
-        unit="s",
-        low=0.0,
-        high=3600.0,
     )
 
     def __post_init__(self) -> None:
@@ -91,36 +84,36 @@ class KeepsClear:
 
     def drive(self, poses: FloatArray, interrupted: Interrupted) -> Motion:
         """Drive through base poses (x, y, yaw), shape (K, 3), and stop for teammates."""
-        way = WatchedDrive(self._robot, self._around, poses, self._config.ahead)
-        return self._follow(way, interrupted)
+        rest = WatchedDrive(self._robot, self._around, poses, _AHEAD)
+        return self._follow(rest, interrupted)
 
-    def _follow(self, way: WatchedDrive | WatchedReach, interrupted: Interrupted) -> Motion:
+    def _follow(self, rest: WatchedDrive | WatchedReach, interrupted: Interrupted) -> Motion:
         """Move, stop, wait and go on, until it is done or given up."""
         stopped_for: list[str] = []
 
         def stop() -> bool:
-            stopped_for[:] = way.in_the_way(self._config.distance)
+            stopped_for[:] = rest.obstructions(self._config.distance)
             return bool(stopped_for) or interrupted()
 
         places: list[list[float]] = []
         while True:
             stopped_for.clear()
-            motion = way.go_on(stop)
+            motion = rest.go_on(stop)
             places += [list(place) for place in motion.path]
             if not motion.outcome or not stopped_for or interrupted():
                 return Motion(motion.outcome, places)
-            problem = self._wait(way, stopped_for[0], interrupted)
+            problem = self._wait(rest, stopped_for[0], interrupted)
             if problem:
                 return Motion(problem, places)
 
-    def _wait(self, way: WatchedDrive | WatchedReach, why: str, interrupted: Interrupted) -> str:
-        """Wait until the way is clear; returns empty, or why it did not become so."""
+    def _wait(self, rest: WatchedDrive | WatchedReach, why: str, interrupted: Interrupted) -> str:
+        """Wait until the path is clear; returns empty, or why it did not become so."""
         self._around.say("waiting for teammates", why)
-        for _ in range(math.ceil(self._config.wait_timeout / PAUSE)):
+        for _ in range(math.ceil(_WAIT_TIMEOUT / PAUSE)):
             if interrupted():
                 return "broken off"
-            if not way.in_the_way(self._config.distance + _MORE):
-                self._around.say("going on", "the way is clear again")
+            if not rest.obstructions(self._config.distance + _MORE):
+                self._around.say("going on", "the path is clear again")
                 return ""
             self._around.pause()
         return why
@@ -129,7 +122,7 @@ class KeepsClear:
 NEARER = 0.05
 """Poses are noisy: who is nearer by less is where it was [m]."""
 
-_SPACING = 0.05  # of the places of the way that are looked at [m]
+_SPACING = 0.05  # of the places of the path that are looked at [m]
 _MOST_POSTURES = 40  # of a path that are looked at
 _MOVES = 1e-3  # [m]; solids that move by less stay where they are
 _STARTING = 1.0  # [s] in which an arm that was stopped comes to the speed of its path
@@ -140,12 +133,12 @@ class Awareness:
     """What the robot knows while it moves.
 
     Attributes:
-        place: tells where its base is: x, y [m, map] and yaw [rad].
-        joints: tells their positions by name [rad or m].
+        place: gives where its base is: x, y [m, map] and yaw [rad].
+        joints: gives their positions by name [rad or m].
         body: its solids in a posture, by positions of the joints, placed in its base frame.
-        teammates: tells who was heard lately, and where.
+        teammates: gives who is present, and where.
         pause: lets a moment pass.
-        say: is told what the robot does, and why.
+        say: is given what the robot does, and why.
     """
 
     place: Callable[[], tuple[float, float, float]]
@@ -166,29 +159,29 @@ def who_and_how_near(mate: Agent, gap: float) -> str:
 
 
 class WatchedDrive:
-    """The rest of a way of the base. Bodies are taken for upright cylinders.
+    """The rest of a path of the base. Bodies are taken for upright cylinders.
 
     Args:
         robot: that drives.
         around: what it knows on the way.
-        way: base poses (x, y, yaw), shape (K, 3) [m, rad, map].
+        path: base poses (x, y, yaw), shape (K, 3) [m, rad, map].
         ahead: length of the part ahead that is looked at [m].
     """
 
-    def __init__(self, robot: Robot, around: Awareness, way: FloatArray, ahead: float) -> None:
+    def __init__(self, robot: Robot, around: Awareness, path: FloatArray, ahead: float) -> None:
         self._robot, self._around, self._ahead = robot, around, ahead
-        self._way, self._has_begun = way, False
-        self._planned = self._distances(way)
+        self._path, self._has_begun = path, False
+        self._planned = self._distances(path)
 
     def go_on(self, interrupted: Interrupted) -> Motion:
-        """Drive what is left of the way."""
+        """Drive what is left of the path."""
         if self._has_begun:
-            self._way = self._rest()
+            self._path = self._rest()
         self._has_begun = True
-        return self._robot.drive(self._way, interrupted)
+        return self._robot.drive(self._path, interrupted)
 
-    def in_the_way(self, distance: float) -> list[str]:
-        """Who is nearer than a distance [m] to the way ahead, and came nearer, in words."""
+    def obstructions(self, distance: float) -> list[str]:
+        """Who is nearer than a distance [m] to the path ahead, and came nearer, in words."""
         mates = self._around.teammates()
         if not mates:
             return []
@@ -205,26 +198,26 @@ class WatchedDrive:
                 found.append(who_and_how_near(mate, gap))
         return found
 
-    def _distances(self, way: FloatArray) -> dict[int, float]:
-        """How far each teammate is from a way now [m]."""
-        places = spaced(way[:, :2], _SPACING)
+    def _distances(self, path: FloatArray) -> dict[int, float]:
+        """How far each teammate is from a path now [m]."""
+        places = spaced(path[:, :2], _SPACING)
         return {
             mate.robot: float(np.linalg.norm(places - mate.T_map_base[:2, 3], axis=1).min())
             for mate in self._around.teammates()
         }
 
     def _places_ahead(self, here: FloatArray) -> FloatArray:
-        """Places on the next part of the way, the own one first, shape (n, 2) [m]."""
-        way = self._way
-        nearest = int(np.linalg.norm(way[:, :2] - here, axis=1).argmin())
-        rest = np.concatenate([here[None], way[nearest + 1 :, :2]])
+        """Places on the next part of the path, the own one first, shape (n, 2) [m]."""
+        path = self._path
+        nearest = int(np.linalg.norm(path[:, :2] - here, axis=1).argmin())
+        rest = np.concatenate([here[None], path[nearest + 1 :, :2]])
         return spaced(rest, _SPACING, self._ahead)
 
     def _rest(self) -> FloatArray:
-        """The way from where the robot is, shape (K, 3)."""
-        here, way = np.array(self._around.place()), self._way
-        nearest = int(np.linalg.norm(way[:, :2] - here[:2], axis=1).argmin())
-        return np.concatenate([here[None], way[min(nearest + 1, len(way) - 1) :]])
+        """The path from where the robot is, shape (K, 3)."""
+        here, path = np.array(self._around.place()), self._path
+        nearest = int(np.linalg.norm(path[:, :2] - here[:2], axis=1).argmin())
+        return np.concatenate([here[None], path[min(nearest + 1, len(path) - 1) :]])
 
 
 class _Sweep(NamedTuple):
@@ -260,7 +253,7 @@ class WatchedReach:
         self._has_begun = True
         return self._robot.move_arm(self._path, interrupted)
 
-    def in_the_way(self, distance: float) -> list[str]:
+    def obstructions(self, distance: float) -> list[str]:
         """To whom the arm would come nearer than a distance [m], and than it is, in words."""
         mates = self._around.teammates()
         if not mates:

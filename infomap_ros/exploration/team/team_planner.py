@@ -3,7 +3,7 @@
 While this robot chooses, others do. What they have claimed meanwhile is seen when the choice is
 made, and the robot chooses again. Claims that cross on their way are waited for: of two robots that
 are about to see the same, the one with the smaller id goes, the other chooses again. So two robots
-are never sent to look at the same thing as long as messages arrive within `AgentsConfig.settling`.
+are never sent to look at the same thing as long as messages arrive within `SETTLING`.
 """
 
 from __future__ import annotations
@@ -25,6 +25,9 @@ from infomap_ros.team.agents import Agent
 WAITING = "waiting for teammates"
 """How the message of each `TeammatesBusyError` begins."""
 
+SETTLING = 0.3
+"""After a goal is claimed, time for claims that teammates made at the same moment: longer than a
+message takes [s]."""
 _ROUNDS = 4  # choices, one after the other, that a teammate was quicker to claim
 _RETRY = 5.0  # time after which the map may have become another although no goal has [s]
 
@@ -45,9 +48,9 @@ class TeamPlanner:
     Args:
         planner: of this robot alone.
         team: what is known of the others.
-        announce: tells the others of this robot at once.
-        wait: lets a time pass [s], in which others are heard.
-        clock: steady time, as the one by which the team is heard [s].
+        announce: reports this robot to the others at once.
+        wait: lets a time pass [s], in which messages are received.
+        clock: steady time, as the one by which messages are received [s].
     """
 
     def __init__(
@@ -83,8 +86,8 @@ class TeamPlanner:
             choice = self.planner.choose(voxel_map, state, self._among(around, state))
             if choice.pose is None or choice.route is None:
                 return self._nothing(choice)
-            news = self._team.news_since(known, self._clock())
-            if self._see_the_same(voxel_map, choice.pose, news):
+            claimed = self._team.claims_since(known, self._clock())
+            if self._see_the_same(voxel_map, choice.pose, claimed):
                 self.planner.withdraw()
                 continue
             if self._claimed(voxel_map, choice.pose, choice.route.base_path):
@@ -92,14 +95,14 @@ class TeamPlanner:
                 return choice
         return self._later("they were quicker to claim every view that was chosen")
 
-    def way_to(self, voxel_map: VoxelMap, state: RobotState, place: KnownPlace) -> Choice:
-        """The way to where the robot has stood, around the others."""
+    def route_to(self, voxel_map: VoxelMap, state: RobotState, place: KnownPlace) -> Choice:
+        """The route to where the robot has stood, around the others."""
         self._team.give_up()
         obstacles = self._team.obstacles(self._clock(), state, self.planner.robot)
-        return self.planner.way_to(voxel_map, state, place, obstacles)
+        return self.planner.route_to(voxel_map, state, place, obstacles)
 
     def plan_arm(self, voxel_map: VoxelMap, state: RobotState, T_map_camera: FloatArray) -> Choice:
-        """The rest of the way to a view, around the others."""
+        """The rest of the route to a view, around the others."""
         obstacles = self._team.obstacles(self._clock(), state, self.planner.robot)
         return self.planner.plan_arm(voxel_map, state, T_map_camera, obstacles)
 
@@ -108,12 +111,12 @@ class TeamPlanner:
         self._team.give_up()
         self.planner.failed(view)
 
-    def _claimed(self, voxel_map: VoxelMap, pose: FloatArray, way: FloatArray) -> bool:
+    def _claimed(self, voxel_map: VoxelMap, pose: FloatArray, path: FloatArray) -> bool:
         """Claim a view; whether it is still this robot's when claims had time to cross."""
-        self._team.claim(pose, way, self._team.claims(self._clock()))
+        self._team.claim(pose, path, self._team.claims(self._clock()))
         self._announce()
         if self._team.present(self._clock()):
-            self._wait(self._team.config.settling)
+            self._wait(SETTLING)
         if not self._see_the_same(voxel_map, pose, self._team.rivals(self._clock())):
             return True
         self._team.give_up()

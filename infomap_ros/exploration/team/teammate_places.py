@@ -1,15 +1,15 @@
 """Where teammates were at a time, and which points of a scan lie on their bodies.
 
-It is interpolated between what they told before and after. Where that is not known, a teammate is
+It is interpolated between what they sent before and after. Where that is not known, a teammate is
 within its speed times the time of where it was.
 
 Teammates' bodies in a scan, so that no robot maps another.
 
-A robot that stood in view before it was heard, or while it was forgotten, was a part of the scene
-until then: when it is heard again, its body is taken out of what was fused (`take_arrivals`).
+A robot that stood in view before it reported, or while it was forgotten, was a part of the scene
+until then: when it reports again, its body is taken out of what was fused (`take_arrivals`).
 
 A teammate's solids, or the upright cylinder about all of them where these are not known, are grown
-by how far it may have moved since it told its place, by the body filter's margin, and by the
+by how far it may have moved since it reported its place, by the body filter's margin, and by the
 standard deviation of where the teammate is for this camera.
 """
 
@@ -18,7 +18,6 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
-from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -34,12 +33,12 @@ from infomap_ros.geometry import (
     invert_transform,
     make_transform,
 )
-from infomap_ros.geometry.config import check_config, setting
 from infomap_ros.geometry.joint_buffer import JointBuffer, JointBufferConfig
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping.scans.body import BodyFilterConfig, body_mask
 from infomap_ros.motion.robot.robot_model import RobotModel
 from infomap_ros.team.agents import Agent
+from infomap_ros.team.update import are_one_frame
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,40 +100,12 @@ def cylinder_about(agent: Agent, growth: float) -> PlacedSolid:
 _MOST_AROUND = 0.3  # [m] about a teammate where no fiducials are chosen: others are needed
 _RECENT = 10  # messages whose postures count for the cylinder about a teammate
 _NANOSECONDS = 1e9
-
-
-@dataclass(frozen=True)
-class TeammatePlacesConfig:
-    """Where teammates may have been at a time.
-
-    Raises:
-        ConfigError: a value is out of its range.
-    """
-
-    max_gap: float = setting(
-        0.6,
-        "Longest time between two messages of a teammate across which its place is interpolated.",
-        unit="s",
-        low=0.0,
-        high=10.0,
-    )
-    speed: float = setting(
-        0.7,
-        "How fast any part of a teammate moves at the most: so much its body grows for each second "
-        "for which it is not known where it was.",
-        unit="m/s",
-        low=0.0,
-        high=100.0,
-    )
-    max_growth: float = setting(
-        1.5, "It grows no further by that: it is taken to have stopped.", unit="m", low=0.0,
-        high=100.0,
-    )  # fmt: skip
-    unknown_sigma: ClassVar[float] = 0.1
-    """Standard deviation of the place of a teammate that does not tell it [m]."""
-
-    def __post_init__(self) -> None:
-        check_config(self)
+_MAX_GAP = 0.6  # between two messages of a teammate across which its place is interpolated [s]
+# How fast any part of a teammate moves at the most: so much its body grows for each second for
+# which it is not known where it was [m/s].
+_SPEED = 0.7
+_MAX_GROWTH = 1.5  # it grows no further by that: it is taken to have stopped [m]
+_UNKNOWN_SIGMA = 0.1  # of the place of a teammate that does not report it [m]
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,7 +115,7 @@ class Place:
     Attributes:
         pose: of its base in the map.
         joints: positions by name [rad or m].
-        growth: how far it may have been from there, as that was told for another time [m].
+        growth: how far it may have been from there, as that was reported for another time [m].
         is_sure: whether it is known for that time.
     """
 
@@ -155,11 +126,11 @@ class Place:
 
 
 class _Track:
-    """What one teammate has told of late."""
+    """What one teammate has reported of late."""
 
-    def __init__(self, config: TeammatePlacesConfig) -> None:
-        self.poses = PoseBuffer(PoseBufferConfig(max_gap=config.max_gap, capacity=100))
-        self.joints = JointBuffer(JointBufferConfig(max_gap=config.max_gap, capacity=100))
+    def __init__(self) -> None:
+        self.poses = PoseBuffer(PoseBufferConfig(max_gap=_MAX_GAP, capacity=100))
+        self.joints = JointBuffer(JointBufferConfig(max_gap=_MAX_GAP, capacity=100))
         self.recent: deque[Agent] = deque(maxlen=_RECENT)
 
     def add(self, agent: Agent) -> None:
@@ -181,45 +152,44 @@ class _Track:
 
 
 class TeammatePlaces:
-    """Remembers where each teammate told that it was.
+    """Remembers where each teammate reported that it was.
 
     Args:
-        config: how long and how fast they may move unseen.
         body: how much what is about them is grown.
     """
 
-    def __init__(
-        self, config: TeammatePlacesConfig | None = None, body: BodyFilterConfig | None = None
-    ) -> None:
-        self.config, self._body = config or TeammatePlacesConfig(), body or BodyFilterConfig()
+    def __init__(self, body: BodyFilterConfig | None = None) -> None:
+        self._body = body or BodyFilterConfig()
         self._tracks: dict[int, _Track] = {}
 
-    def hear(self, agent: Agent) -> None:
-        """A teammate has told where it is."""
-        self._tracks.setdefault(agent.robot, _Track(self.config)).add(agent)
+    def receive(self, agent: Agent) -> None:
+        """A teammate has reported where it is; where it was in another frame is forgotten."""
+        if (track := self._tracks.get(agent.robot)) and track.recent[-1].origin != agent.origin:
+            del self._tracks[agent.robot]
+        self._tracks.setdefault(agent.robot, _Track()).add(agent)
 
     def keep(self, robots: Collection[int]) -> list[Agent]:
-        """Forget all robots but these; returns what the forgotten ones told last."""
+        """Forget all robots but these; returns what the forgotten ones reported last."""
         gone = self._tracks.keys() - set(robots)
         return [self._tracks.pop(robot).recent[-1] for robot in sorted(gone)]
 
     @property
     def agents(self) -> dict[int, Agent]:
-        """What each teammate told last, by its id."""
+        """What each teammate reported last, by its id."""
         return {robot: track.recent[-1] for robot, track in sorted(self._tracks.items())}
 
-    def told_at(self, robot: int, stamp: int) -> Place:
-        """Where a teammate was, as it told it.
+    def reported_at(self, robot: int, stamp: int) -> Place:
+        """Where a teammate was, as it reported it.
 
         Args:
             robot: its id.
             stamp: [ns].
 
         Raises:
-            PoseUnavailableError: it has not told that; its `may_arrive` says whether it still may.
+            PoseUnavailableError: it is not reported; its `may_arrive` says whether it still may be.
         """
         if robot not in self._tracks:
-            text = f"nothing was heard of robot {robot}"
+            text = f"nothing was received of robot {robot}"
             raise PoseUnavailableError(text, "place of a teammate", may_arrive=True)
         track = self._tracks[robot]
         agent = track.recent[-1]
@@ -230,40 +200,43 @@ class TeammatePlaces:
         return Place(pose, track.joints.at(stamp) if len(track.joints) else {})
 
     def place(self, robot: int, stamp: int) -> Place:
-        """Where a teammate was that has been heard, or where it told that it was nearest in time.
+        """Where a teammate was that has reported, or where it reported to be nearest in time.
 
         Args:
             robot: its id.
             stamp: [ns].
         """
         try:
-            return self.told_at(robot, stamp)
+            return self.reported_at(robot, stamp)
         except PoseUnavailableError:
             agent = self._tracks[robot].recent[-1]
             pose = PoseRecord(agent.stamp, "map", agent.T_map_base, agent.covariance)
             away = abs(stamp - agent.stamp) / _NANOSECONDS
-            growth = min(self.config.speed * away, self.config.max_growth)
+            growth = min(_SPEED * away, _MAX_GROWTH)
             return Place(pose, dict(agent.joints), growth, is_sure=False)
 
     def variance(self, pose: PoseRecord, lever: float) -> float:
         """Largest variance of a point of a teammate's body at a lever [m] from its base [m^2]."""
         if pose.covariance is None:
-            return self.config.unknown_sigma**2
+            return _UNKNOWN_SIGMA**2
         return largest_variance(pose.covariance, lever)
 
-    def about(self, stamp: int) -> list[PlacedSolid]:
+    def about(self, stamp: int, origin: int = 0) -> list[PlacedSolid]:
         """An upright cylinder about each teammate, in which any of it was at a time.
 
         A teammate that is silent or lost takes no more room than `_MOST_AROUND` about its body.
 
         Args:
             stamp: [ns].
+            origin: names the frame of the map; teammates in others are left out.
 
         Returns:
             Placed in the map, grown as the solids are for a scan, but for the error of its pose.
         """
         cylinders = []
         for robot, agent in self.agents.items():
+            if not are_one_frame(agent.origin, origin):
+                continue
             place = self.place(robot, stamp)
             sigma = float(np.sqrt(self.variance(place.pose, agent.radius)))
             margin = self._body.margin + place.growth + self._body.sigmas * sigma
@@ -276,46 +249,25 @@ class TeammatePlaces:
 _MOST_MARGIN = 1.0  # [m]; solids that would have to grow by more are replaced by the cylinder
 _OVER_GROUND = 0.03  # [m]; what is no higher than this over a body's lowest point is its ground
 _SURE_MARGIN = 0.15  # [m]; of a body that is taken out of what was fused
-
-
-@dataclass(frozen=True)
-class TeamBodiesConfig(TeammatePlacesConfig):
-    """How teammates' bodies are found in scans.
-
-    Raises:
-        ConfigError: a value is out of its range.
-    """
-
-    wait: float = setting(
-        0.5,
-        "How long a scan waits until it is known where teammates were at its stamp, in time of the "
-        "data.",
-        unit="s",
-        low=0.0,
-        high=10.0,
-    )
+# How long a scan waits until it is known where teammates were at its stamp, in time of the data.
+_WAIT = 0.5 * _NANOSECONDS
 
 
 class TeamBodies(TeammatePlaces):
     """Knows also what teammates' bodies are, for the scans of one robot.
 
     Args:
-        config: how they are found.
         body: how much bodies are grown.
     """
 
-    def __init__(
-        self, config: TeamBodiesConfig | None = None, body: BodyFilterConfig | None = None
-    ) -> None:
-        settings = config or TeamBodiesConfig()
-        super().__init__(settings, body)
-        self._wait = settings.wait * _NANOSECONDS
+    def __init__(self, body: BodyFilterConfig | None = None) -> None:
+        super().__init__(body)
         self._models: dict[int, RobotModel] = {}
         self._before: dict[int, Agent] = {}
         self._arrived: set[int] = set()
 
     def describe(self, robot: int, model: RobotModel) -> None:
-        """What a teammate's body is: with its base frame, as it tells its pose."""
+        """What a teammate's body is: with its base frame, as it reports its pose."""
         self._models[robot] = model
 
     def is_described(self, robot: int) -> bool:
@@ -323,7 +275,7 @@ class TeamBodies(TeammatePlaces):
         return robot in self._models
 
     def keep(self, robots: Collection[int]) -> list[Agent]:
-        """Forget all robots but these; returns what the forgotten ones told last."""
+        """Forget all robots but these; returns what the forgotten ones reported last."""
         gone = super().keep(robots)
         self._before |= {agent.robot: agent for agent in gone}
         self._models = {robot: self._models[robot] for robot in self._models if robot in robots}
@@ -331,10 +283,10 @@ class TeamBodies(TeammatePlaces):
         return gone
 
     def take_arrivals(self) -> list[BodyInScan]:
-        """Bodies of teammates that are heard for the first time, or again, in the map's frame.
+        """Bodies of teammates that report for the first time, or again, in the map's frame.
 
-        Each is told once, when its solids are known and it is known where it is. Where it stood
-        when it was heard last counts, too.
+        Each is returned once, when its solids are known and it is known where it is. Where it stood
+        when it reported last counts, too.
         """
         bodies = []
         for robot, agent in self.agents.items():
@@ -353,16 +305,16 @@ class TeamBodies(TeammatePlaces):
         Args:
             stamp: of a scan [ns].
             newest: time of the newest data [ns].
-            robots: teammates that are heard.
+            robots: teammates that are present.
 
         Raises:
-            PoseUnavailableError: it may still be told where one was at that time.
+            PoseUnavailableError: it may still be reported where one was at that time.
         """
-        if newest - stamp >= self._wait:
+        if newest - stamp >= _WAIT:
             return
         for robot in self.agents.keys() & set(robots):
             try:
-                self.told_at(robot, stamp)
+                self.reported_at(robot, stamp)
             except PoseUnavailableError as error:
                 if error.may_arrive:
                     text, reason = f"robot {robot}: {error}", "place of a teammate"
@@ -388,7 +340,7 @@ class TeamBodies(TeammatePlaces):
         return BodyInScan(agent.robot, placed, margin, place.is_sure)
 
     def _in_map(self, agent: Agent) -> BodyInScan:
-        """A teammate's body in the map as it told it, the frame of the map in place of a camera."""
+        """A teammate's body in the map as reported, the frame of the map in place of a camera."""
         pose = PoseRecord(agent.stamp, "map", agent.T_map_base, agent.covariance)
         margin = self._body.margin + self._body.sigmas * self._sigma(
             agent, pose, PoseRecord(agent.stamp, "map", np.eye(4))

@@ -1,4 +1,4 @@
-"""What a robot tells its team of itself, and what it makes of what the others tell.
+"""What a robot reports to its team of itself, and what it makes of what the others report.
 
 Knows neither network nor clock: texts are carried by somebody, times are handed in. Several threads
 may use it.
@@ -27,6 +27,9 @@ from infomap_ros.views.situation import Teammate
 
 _MOST_WAYPOINTS = 60
 _LONGEST_STATE = 80
+ANNOUNCE_PERIOD = 0.2
+"""Time between two messages about a robot, in time of the data [s]."""
+_GOAL_TIME = 300.0  # after which a claimed goal is given up, in time of the data [s]
 _MOVED, _TURNED = 0.01, 0.01  # a place [m] or angle [rad] that differs by more is another one
 
 
@@ -43,6 +46,7 @@ class Presence:
         doing: what it is doing, in words.
         description: full name of the topic of its robot_description; empty without one.
         description_hash: of the text on it, see `hash_of_description`.
+        origin: names the frame of its map.
     """
 
     stamp: int
@@ -53,13 +57,14 @@ class Presence:
     doing: str = "idle"
     description: str = ""
     description_hash: str = ""
+    origin: int = 0
 
 
 class Word(NamedTuple):
-    """What a robot tells of itself.
+    """What a robot reports of itself.
 
     Attributes:
-        agent: what is told.
+        agent: what is sent.
         text: the same, signed, as it is sent.
     """
 
@@ -69,13 +74,13 @@ class Word(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class _Claim:
-    """A goal view, the way to it, what was known of the others' claims, and when it was told."""
+    """A goal view, the path to it, what was known of the others' claims, and when it was sent."""
 
     number: int
     goal: FloatArray | None = None
-    way: FloatArray | None = None
-    heard: tuple[tuple[int, int], ...] = ()
-    told: int | None = None
+    path: FloatArray | None = None
+    known: tuple[tuple[int, int], ...] = ()
+    announced: int | None = None
 
 
 class Teamwork:
@@ -84,8 +89,8 @@ class Teamwork:
     Args:
         robot: id of this robot, unique in its team.
         session: number that it draws at each start, see `team.membership.draw_session`.
-        version: newer than what it told before, see `team.versions.version_at`.
-        config: how robots hear of each other.
+        version: newer than what it sent before, see `team.versions.version_at`.
+        config: how robots learn of each other.
         team: ids of the robots that count; all if empty.
         key: of the team; without one every message is taken for genuine.
     """
@@ -101,22 +106,22 @@ class Teamwork:
     ) -> None:
         self.robot, self.config = robot, config or AgentsConfig()
         self._session, self._version, self._key = session, OwnVersion(version), key
-        self._board = AgentBoard(robot, session, self.config, team, key)
+        self._board = AgentBoard(robot, session, team, key)
         self._claim = _Claim(version)
         self._still: Presence | None = None
         self._lock = threading.Lock()
 
-    def hear(self, text: str, now: float) -> Agent | None:
-        """Learn what a robot tells of itself; None where it is no news.
+    def receive(self, text: str, now: float) -> Agent | None:
+        """Learn what a robot reports of itself; None where it is not new.
 
         Raises:
             InvalidInputError: the text is malformed, or says something impossible.
             UpdateRefusedError: that robot must not write, or not that.
         """
         with self._lock:
-            agent = self._board.hear(text, now, self._version.number)
-            if agent is not None and self.robot in agent.heard:
-                self._follow(agent.heard[self.robot], agent.robot, now)
+            agent = self._board.receive(text, now, self._version.number)
+            if agent is not None and self.robot in agent.claims:
+                self._follow(agent.claims[self.robot], agent.robot, now)
             return agent
 
     def _follow(self, known: int, mate: int, now: float) -> None:
@@ -126,11 +131,11 @@ class Teamwork:
         if self._version.number != before:
             self._claim = replace(self._claim, number=self._version.number)
 
-    def tell(self, me: Presence) -> Word:
-        """What to tell the others now."""
+    def announcement(self, me: Presence) -> Word:
+        """What to send the others now."""
         radius, bottom, top = body_extent(me.robot, me.state.joints)
         with self._lock:
-            version = self._version.advance()
+            version, self._board.origin = self._version.advance(), me.origin
             claim, state = self._current_claim(me.stamp), me.state
             if self._still is None or _has_moved(self._still, me):
                 self._still = me
@@ -148,30 +153,31 @@ class Teamwork:
                 me.doing[:_LONGEST_STATE],
                 state.joints,
                 claim.goal,
-                np.empty((0, 3)) if claim.way is None else claim.way,
+                np.empty((0, 3)) if claim.path is None else claim.path,
                 claim.number,
-                dict(claim.heard) | self._board.past(),
+                dict(claim.known) | self._board.past(),
                 radius,
                 bottom,
                 top,
                 me.description,
                 me.description_hash,
                 me.robot.base_frame,
+                me.origin,
             )
         return Word(agent, agent_to_text(agent, self._key))
 
-    def claim(self, goal: FloatArray, way: FloatArray, known: dict[int, int]) -> None:
+    def claim(self, goal: FloatArray, path: FloatArray, known: dict[int, int]) -> None:
         """From now on this robot is heading for a view.
 
         Args:
             goal: ``T_map_camera``, shape (4, 4).
-            way: base poses (x, y, yaw) on the way there, shape (K, 3); those that matter are told.
+            path: base poses (x, y, yaw) to it, shape (K, 3); those that matter are sent.
             known: claims of the others that were known when it was chosen, of `claims`.
         """
-        step = max(1, -(-len(way) // _MOST_WAYPOINTS))
-        told = way[::step] if len(way) < 2 else np.concatenate([way[:-1:step], way[-1:]])
+        step = max(1, -(-len(path) // _MOST_WAYPOINTS))
+        waypoints = path[::step] if len(path) < 2 else np.concatenate([path[:-1:step], path[-1:]])
         with self._lock:
-            self._claim = _Claim(self._version.advance(), goal, told, tuple(known.items()))
+            self._claim = _Claim(self._version.advance(), goal, waypoints, tuple(known.items()))
 
     def give_up(self) -> None:
         """From now on this robot is heading for nothing."""
@@ -180,12 +186,12 @@ class Teamwork:
                 self._claim = _Claim(self._version.advance())
 
     def _current_claim(self, stamp: int) -> _Claim:
-        """The claim, without its goal where that was told for the first time too long ago."""
+        """The claim, without its goal where that was sent for the first time too long ago."""
         claim = self._claim
-        told = stamp if claim.told is None else claim.told
-        if claim.goal is not None and stamp - told > self.config.goal_time * 1e9:
+        announced = stamp if claim.announced is None else claim.announced
+        if claim.goal is not None and stamp - announced > _GOAL_TIME * 1e9:
             claim = _Claim(self._version.number)
-        self._claim = replace(claim, told=told)
+        self._claim = replace(claim, announced=announced)
         return self._claim
 
     @property
@@ -199,11 +205,11 @@ class Teamwork:
             return self._board.claims(now)
 
     def present(self, now: float) -> tuple[Agent, ...]:
-        """The others that were heard lately."""
+        """The others that have reported lately."""
         with self._lock:
             return self._board.present(now)
 
-    def news_since(self, known: dict[int, int], now: float) -> tuple[Agent, ...]:
+    def claims_since(self, known: dict[int, int], now: float) -> tuple[Agent, ...]:
         """The others that have claimed another goal since `known`, of `claims`."""
         agents = self.present(now)
         return tuple(a for a in agents if a.goal is not None and known.get(a.robot) != a.claim)
@@ -220,7 +226,7 @@ class Teamwork:
             if agent.goal is not None
             and agent.robot < self.robot
             and not knows(agent, self.robot, number)
-            and dict(self._claim.heard).get(agent.robot) != agent.claim
+            and dict(self._claim.known).get(agent.robot) != agent.claim
         )
 
     def teammates(self, now: float) -> tuple[Teammate, ...]:
@@ -232,14 +238,14 @@ class Teamwork:
         )
 
     def obstacles(self, now: float, state: RobotState, robot: RobotModel) -> Sequence[Obstacle]:
-        """The others' bodies, ways and places, as the motion of this robot sees them."""
+        """The others' bodies, paths and places, as the motion of this robot sees them."""
         present = {agent.robot for agent in self.present(now)}
         radius = body_extent(robot, state.joints)[0]
         return [
             obstacle
             for agent in self._remembered(now)
-            for obstacle in bodies_in_the_way(
-                agent, agent.robot in present, state.T_map_base[:2, 3], radius, self.config
+            for obstacle in obstacles_of(
+                agent, agent.robot in present, state.T_map_base[:2, 3], radius
             )
         ]
 
@@ -260,6 +266,7 @@ def _has_moved(before: Presence, now: Presence) -> bool:
     return bool(moved or max(joints, default=0.0) > _TURNED)
 
 
+_CLEARANCE = 0.3  # between the bodies, and to the places where teammates are going [m]
 _LEAST_SHARE = 0.5  # of a body's radius, however near one stands to it
 
 
@@ -268,40 +275,39 @@ def teammate_of(agent: Agent) -> Teammate:
     base = agent.T_map_base
     middle = base[:3, 3] + 0.5 * (agent.bottom + agent.top) * base[:3, 2]
     stand = None
-    if agent.goal is not None and len(agent.way):
-        stand = np.array([*agent.way[-1, :2], middle[2]])
+    if agent.goal is not None and len(agent.path):
+        stand = np.array([*agent.path[-1, :2], middle[2]])
     return Teammate(middle, agent.goal, agent.max_range, agent.camera, agent.radius, stand)
 
 
-def bodies_in_the_way(
-    agent: Agent, goes_on: bool, own_place: FloatArray, own_radius: float, config: AgentsConfig
+def obstacles_of(
+    agent: Agent, goes_on: bool, own_place: FloatArray, own_radius: float
 ) -> list[Obstacle]:
-    """A robot's body, and the rest of the way that it has told, as upright cylinders.
+    """A robot's body, and the rest of the path that it has reported, as upright cylinders.
 
     They are grown by the clearance and by three standard deviations of its position; less where
     this robot stands within that already, as it must be able to leave.
 
     Args:
-        agent: as it told last.
-        goes_on: whether it was heard lately, so that its way counts.
+        agent: as it reported last.
+        goes_on: whether it has reported lately, so that its path counts.
         own_place: x and y of this robot's base, shape (2,) [m, map].
         own_radius: of this robot's body about its base [m].
-        config: of the clearance.
     """
     here = agent.T_map_base[:2, 3]
     places = [here]
-    if goes_on and agent.goal is not None and len(agent.way):
-        way = agent.way[:, :2]
-        rest = way[int(np.linalg.norm(way - here, axis=1).argmin()) :]
+    if goes_on and agent.goal is not None and len(agent.path):
+        path = agent.path[:, :2]
+        rest = path[int(np.linalg.norm(path - here, axis=1).argmin()) :]
         places += list(spaced(rest, 0.5 * max(agent.radius, 0.1)))
     bottom, top = agent.T_map_base[2, 3] + agent.bottom, agent.T_map_base[2, 3] + agent.top
     obstacles = []
     for number, place in enumerate(places):
         room = float(np.linalg.norm(place - own_place)) - own_radius
         least = _LEAST_SHARE * agent.radius if number == 0 else 0.0
-        radius = max(min(agent.reach + config.clearance, room), least)
+        radius = max(min(agent.reach + _CLEARANCE, room), least)
         if radius > 0.0:
             x, y = float(place[0]), float(place[1])
-            name = f"robot {agent.robot}" if number == 0 else f"the way of robot {agent.robot}"
+            name = f"robot {agent.robot}" if number == 0 else f"the path of robot {agent.robot}"
             obstacles.append(Obstacle(x, y, radius, bottom, max(top, bottom + 0.1), name))
     return obstacles

@@ -8,8 +8,7 @@ docs/localization.md compares this with OpenCV's detectors and descriptors.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import ClassVar, NamedTuple
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -17,7 +16,6 @@ from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from infomap_ros.errors import InvalidInputError
-from infomap_ros.geometry.config import check_config, setting
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.localization.fiducials.range_view import RangeView, check_pixels
 
@@ -135,36 +133,12 @@ SCALES = (0.5, 0.71, 1.0, 1.41, 2.0)
 # Corners this near to the best match show the same thing and do not rival it [px].
 _SAME_PLACE = 2.0
 _TURN = np.pi / 9.0  # [rad]; descriptors compare well when turned by half of it
-
-
-@dataclass(frozen=True)
-class AppearanceConfig:
-    """How fiducials are described and compared.
-
-    Raises:
-        ConfigError: a value is out of its range.
-    """
-
-    spacing: float = setting(
-        2.0,
-        "Distance of the gradients of a descriptor, which has 16 x 16 of them.",
-        unit="px",
-        low=0.5,
-        high=10.0,
-    )
-    corners: int = setting(800, "Most corners of an image that are compared.", low=10, high=10000)
-    corner_distance: float = setting(
-        4.0, "Least distance of two corners.", unit="px", low=1.0, high=50.0
-    )
-    corner_quality: ClassVar[float] = 0.003
-    """Least response of a corner, as a share of the strongest."""
-    max_ratio: ClassVar[float] = 0.85
-    """The best match must be nearer than this share of the second best's distance (Lowe 2004, DOI
-    10.1023/B:VISI.0000029664.99615.94).
-    """
-
-    def __post_init__(self) -> None:
-        check_config(self)
+_SPACING = 2.0  # of the 16 x 16 gradients of a descriptor [px]
+_CORNERS = 800  # most corners of an image that are compared
+_CORNER_DISTANCE = 4.0  # least distance of two corners [px]
+_CORNER_QUALITY = 0.003  # least response of a corner, as a share of the strongest
+MAX_RATIO = 0.85
+"""The best match must be nearer than this share of the second best's distance (Lowe 2004)."""
 
 
 class AppearanceMatches(NamedTuple):
@@ -183,22 +157,18 @@ class AppearanceMatches(NamedTuple):
     scales: FloatArray
 
 
-def describe(
-    image: NDArray[np.uint8], pixels: ArrayLike, config: AppearanceConfig | None = None
-) -> NDArray[np.uint8]:
+def describe(image: NDArray[np.uint8], pixels: ArrayLike) -> NDArray[np.uint8]:
     """Describe the surroundings of pixels at all `SCALES`.
 
     Args:
         image: gray, shape (H, W).
         pixels: shape (N, 2) [px].
-        config: defaults where None.
 
     Returns:
         Descriptors, shape (N, 640), uint8; all zero, so that they match nothing, where there is
         no gradient.
     """
-    config = config or AppearanceConfig()
-    spacings = tuple(config.spacing / scale for scale in SCALES)
+    spacings = tuple(_SPACING / scale for scale in SCALES)
     return gradient_histograms(image, check_pixels(pixels), spacings).reshape(-1, descriptor_size())
 
 
@@ -212,29 +182,26 @@ def find_again(
     descriptors: NDArray[np.uint8],
     predicted: ArrayLike | None = None,
     radius: float | None = None,
-    config: AppearanceConfig | None = None,
     turns: FloatArray | None = None,
 ) -> AppearanceMatches:
     """Look for described fiducials in a view.
 
     Args:
         view: where to look.
-        descriptors: made by `describe` with the same configuration, shape (N, D).
+        descriptors: made by `describe`, shape (N, D).
         predicted: where they are expected, shape (N, 2) [px]; NaN = unknown, not looked for.
         radius: a fiducial is looked for this far from where it is expected [px].
-        config: defaults where None.
         turns: by which each is expected to look turned, from u towards v, since it was described,
             shape (N,) [rad]; not at all where None.
 
     Raises:
         InvalidInputError: shapes do not fit, or a prediction comes without a radius.
     """
-    config = config or AppearanceConfig()
     if descriptors.ndim != 2 or descriptors.shape[1] != descriptor_size():
         raise InvalidInputError("descriptors", f"shape {descriptors.shape}, expected (N, D)")
     if (predicted is None) != (radius is None):
         raise InvalidInputError("radius", "and predicted must come together")
-    corners = corners_of(view.image, config)
+    corners = corners_of(view.image)
     if len(corners) < 2 or len(descriptors) == 0:
         nothing = np.zeros(0)
         return AppearanceMatches(np.zeros(0, np.int64), np.zeros((0, 2)), nothing, nothing)
@@ -242,7 +209,7 @@ def find_again(
     distances, scales = np.zeros((2, len(descriptors), len(corners)))
     for step in np.unique(steps):
         same = steps == step
-        described = gradient_histograms(view.image, corners, (config.spacing,), step * _TURN)[:, 0]
+        described = gradient_histograms(view.image, corners, (_SPACING,), step * _TURN)[:, 0]
         distances[same], scales[same] = _distances(descriptors[same], described)
     if predicted is not None and radius is not None:
         places = check_pixels(predicted, "predicted")
@@ -250,15 +217,13 @@ def find_again(
             raise InvalidInputError("predicted", f"{len(places)}, expected {len(descriptors)}")
         apart = np.linalg.norm(places[:, None] - corners[None], axis=2)
         distances[~(apart <= radius)] = np.inf
-    rows, columns, ratios = _mutual_matches(distances, corners, config.max_ratio)
+    rows, columns, ratios = _mutual_matches(distances, corners, MAX_RATIO)
     return AppearanceMatches(rows, corners[columns], ratios, scales[rows, columns])
 
 
-def corners_of(image: NDArray[np.uint8], config: AppearanceConfig) -> FloatArray:
+def corners_of(image: NDArray[np.uint8]) -> FloatArray:
     """Corners of an image (J. Shi and C. Tomasi 1994), strongest first, shape (K, 2) [px]."""
-    found = cv2.goodFeaturesToTrack(
-        image, config.corners, config.corner_quality, config.corner_distance
-    )
+    found = cv2.goodFeaturesToTrack(image, _CORNERS, _CORNER_QUALITY, _CORNER_DISTANCE)
     return np.zeros((0, 2)) if found is None else found[:, 0].astype(np.float64)
 
 

@@ -11,7 +11,7 @@ from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.localization.fiducials.appearance import AppearanceMatches, find_again
 from infomap_ros.localization.fiducials.patch_alignment import Alignment, align_templates
 from infomap_ros.localization.fiducials.range_view import RangeView, check_pixels
-from infomap_ros.localization.fiducials.tracks import FiducialTrackerConfig, Tracks
+from infomap_ros.localization.fiducials.tracks import Tracks
 
 # Descriptors find a corner near the fiducial, not the fiducial itself [px].
 _DESCRIPTOR_SEARCH = 3
@@ -19,19 +19,27 @@ _DESCRIPTOR_SEARCH = 3
 _SCALE_TOLERANCE = 0.5
 # A template is not compared at a scale further off than this.
 _LARGEST_SCALE = 3.0
+SIGMA_FACTOR = 3.0
+"""Calibrated multiple of the sigma that image noise leaves."""
+_MIN_CORRELATION = 0.8  # normalized, of a fiducial with its template
+_MAX_SHIFT = 3.0  # by which flow and template may disagree about where a fiducial is [px]
+_MAX_SIGMA = 0.7  # pixels less certain than this are not believed: they slide along edges [px]
+# Likewise of those found again: of those less certain every third was another thing [px].
+_MAX_RECALLED_SIGMA = 0.3
+# A dormant fiducial that is expected within this is searched for by its template, otherwise by its
+# descriptor [px].
+_DIRECT_RADIUS = 12.0
 
 
 class DormantFiducials:
     """Keeps fiducials that are not followed.
 
     Attributes:
-        config: of the tracker.
         tracks: the fiducials.
     """
 
-    def __init__(self, config: FiducialTrackerConfig, nothing: Tracks) -> None:
+    def __init__(self, nothing: Tracks) -> None:
         """Begin with `nothing`, tracks of no fiducials."""
-        self.config = config
         self.tracks = nothing
 
     def add(self, tracks: Tracks) -> None:
@@ -51,7 +59,7 @@ class DormantFiducials:
             shape (M,) [px].
         """
         rows = np.arange(len(self.tracks))
-        found = find_again(view, self.tracks.descriptors, config=self.config.appearance)
+        found = find_again(view, self.tracks.descriptors)
         return self._verified(view, rows, np.zeros(len(rows)), found)
 
     def find_near(
@@ -77,10 +85,10 @@ class DormantFiducials:
         rows, places = rows[finite], places[finite]
         since = [(turns or {}).get(name, 0.0) for name in self.tracks.ids[rows].tolist()]
         angles = _turn_of(self.tracks.warps[rows]) + np.array(since)
-        if radius <= self.config.direct_radius:
+        if radius <= _DIRECT_RADIUS:
             return self._aligned(view, rows, places, angles, int(np.ceil(radius)))
         descriptors = self.tracks.descriptors[rows]
-        found = find_again(view, descriptors, places, radius, self.config.appearance, angles)
+        found = find_again(view, descriptors, places, radius, angles)
         return self._verified(view, rows, angles, found)
 
     def _verified(
@@ -115,7 +123,7 @@ class DormantFiducials:
         warps = scale[:, None, None] * _turned(angles)
         aligned = align_templates(view.image, tracks.templates, places, warps, search)
         seen = aligned._replace(sigmas=at_scale(aligned.sigmas, aligned.warps))
-        found = believed(seen, places, search, self.config, self.config.max_recalled_sigma)
+        found = believed(seen, places, search, _MAX_RECALLED_SIGMA)
         tracks.pixels[:], tracks.warps[:] = aligned.pixels, aligned.warps
         tracks.flowed[:], tracks.followed[:], tracks.missed[:] = aligned.pixels, True, 0
         return tracks.select(found), aligned.sigmas[found]
@@ -146,8 +154,7 @@ def believed(
     aligned: Alignment,
     places: FloatArray,
     search: NDArray[np.int64],
-    config: FiducialTrackerConfig,
-    max_sigma: float | None = None,
+    max_sigma: float = _MAX_SIGMA,
 ) -> NDArray[np.bool_]:
     """Which alignments are believed, shape (N,).
 
@@ -155,12 +162,10 @@ def believed(
         aligned: N alignments.
         places: where they were expected, shape (N, 2) [px].
         search: whole pixels that were searched about them, shape (N,).
-        config: limits.
-        max_sigma: largest sigma, where it is not the one of `config` [px].
+        max_sigma: largest sigma [px].
     """
-    largest = config.max_sigma if max_sigma is None else max_sigma
-    allowed = config.max_shift + np.sqrt(2.0) * search
+    allowed = _MAX_SHIFT + np.sqrt(2.0) * search
     with np.errstate(invalid="ignore"):
         near = np.linalg.norm(aligned.pixels - places, axis=1) <= allowed
-        sharp = config.sigma_factor * aligned.sigmas <= largest
-    return np.asarray(near & sharp & (aligned.correlations >= config.min_correlation))
+        sharp = SIGMA_FACTOR * aligned.sigmas <= max_sigma
+    return np.asarray(near & sharp & (aligned.correlations >= _MIN_CORRELATION))

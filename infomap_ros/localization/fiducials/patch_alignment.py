@@ -11,16 +11,13 @@ Where pixels of one image went in the next: pyramidal Lucas-Kanade, forward and 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import ClassVar, NamedTuple
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from infomap_ros.errors import ConfigError
-from infomap_ros.geometry.config import check_config, setting
 from infomap_ros.geometry.transforms import FloatArray
 
 
@@ -298,25 +295,10 @@ _SAME_CONTRAST = 0.03
 _LEAST_CONTRAST = 1.0  # [gray levels]
 
 
-@dataclass(frozen=True)
-class OpticalFlowConfig:
-    """How pixels are followed from image to image.
-
-    Raises:
-        ConfigError: a value is out of its range.
-    """
-
-    window: int = setting(21, "Side of the window, odd.", unit="px", low=5, high=61)
-    levels: ClassVar[int] = 4
-    """Levels of the image pyramid; each doubles the step that is followed."""
-    iterations: int = setting(20, "Most iterations per level.", low=1, high=100)
-    max_round_trip: ClassVar[float] = 1.0
-    """A pixel must come back to where it was by this, when followed forward and back [px]."""
-
-    def __post_init__(self) -> None:
-        check_config(self)
-        if self.window % 2 == 0:
-            raise ConfigError("window", self.window, "an odd number")
+_FLOW_WINDOW = 21  # side of the window, odd [px]
+_FLOW_LEVELS = 4  # of the image pyramid; each doubles the step that is followed
+_FLOW_ITERATIONS = 20  # most per level
+_MAX_ROUND_TRIP = 1.0  # by which a pixel may miss itself, followed forward and back [px]
 
 
 class OpticalFlow:
@@ -327,8 +309,7 @@ class OpticalFlow:
     contrast between the two is taken out first.
     """
 
-    def __init__(self, config: OpticalFlowConfig | None = None) -> None:
-        self.config = config or OpticalFlowConfig()
+    def __init__(self) -> None:
         self._image: NDArray[np.uint8] | None = None
 
     def remember(self, image: NDArray[np.uint8]) -> None:
@@ -357,7 +338,7 @@ class OpticalFlow:
         there, forward = self._flow(before, now, places, guess)
         back, backward = self._flow(now, before, there, places.copy())
         missed = np.linalg.norm(back - places, axis=2)[:, 0]
-        found = (forward & backward)[:, 0] & (missed <= self.config.max_round_trip)
+        found = (forward & backward)[:, 0] & (missed <= _MAX_ROUND_TRIP)
         return there[:, 0].astype(np.float64), np.asarray(found)
 
     def _flow(
@@ -372,13 +353,9 @@ class OpticalFlow:
             after,
             pixels,
             guess.copy(),
-            winSize=(self.config.window, self.config.window),
-            maxLevel=self.config.levels - 1,
-            criteria=(
-                cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS,
-                self.config.iterations,
-                0.03,
-            ),
+            winSize=(_FLOW_WINDOW, _FLOW_WINDOW),
+            maxLevel=_FLOW_LEVELS - 1,
+            criteria=(cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, _FLOW_ITERATIONS, 0.03),
             flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
             minEigThreshold=1e-4,
         )

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry import PinholeCamera, float_array
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.localization.fiducials.sparse_stereo import SparseStereoConfig, match_pixels
+from infomap_ros.localization.fiducials.sparse_stereo import match_pixels
 from infomap_ros.stereo import RangeCloud, StereoRangeSensor
 from infomap_ros.stereo.images import check_image, gray
 
@@ -93,7 +93,10 @@ class RangeView(Protocol):
         has_cloud: whether `cloud` is at hand without further work.
         disparity_unit: inverse depth that one pixel of disparity is worth [1/(m px)]; 0 where range
             does not come from disparities.
+        tags: `TAG` rows of what another node has found in the image; None where nobody is asked.
     """
+
+    tags: NDArray[np.void] | None
 
     @property
     def stamp(self) -> int:
@@ -141,12 +144,13 @@ class StereoView:
         left: rectified image, shape (H, W) or (H, W, 3) RGB, uint8.
         right: as `left`.
         sensor: measures the dense cloud; gives the rig, the searched disparities and the noise.
-        sparse: how single pixels are matched; defaults where None.
 
     Raises:
         InvalidInputError: an image has the wrong type or number of channels.
         CalibrationError: an image does not have its camera's size.
     """
+
+    tags: NDArray[np.void] | None = None
 
     def __init__(
         self,
@@ -154,7 +158,6 @@ class StereoView:
         left: ArrayLike,
         right: ArrayLike,
         sensor: StereoRangeSensor,
-        sparse: SparseStereoConfig | None = None,
     ) -> None:
         self.stamp = stamp
         self._left = check_image(left, sensor.rig.left, "left image")
@@ -162,7 +165,6 @@ class StereoView:
         self.image = gray(self._left)
         self._right_gray = gray(self._right)
         self._sensor = sensor
-        self._sparse = sparse or SparseStereoConfig()
         self._cloud: RangeCloud | None = None
 
     @property
@@ -185,11 +187,7 @@ class StereoView:
         rig = self._sensor.rig
         search = (math.floor(-rig.principal_offset) - 2, self._sensor.search.maximum)
         disparities, sigmas = match_pixels(
-            self.image,
-            self._right_gray,
-            check_pixels(pixels),
-            search,
-            self._sparse,
+            self.image, self._right_gray, check_pixels(pixels), search
         )
         unit = self.disparity_unit
         return (disparities + rig.principal_offset) * unit, sigmas * unit
@@ -213,6 +211,8 @@ class DepthView:
         InvalidInputError: the image has the wrong type or number of channels.
         CalibrationError: the image does not have the cloud's size.
     """
+
+    tags: NDArray[np.void] | None = None
 
     def __init__(self, stamp: int, image: ArrayLike, cloud: RangeCloud) -> None:
         self.stamp = stamp

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar, NamedTuple
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from infomap_ros.errors import ConfigError, InvalidInputError
+from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry import check_transform, transform_points
 from infomap_ros.geometry.config import check_config, setting
 from infomap_ros.geometry.transforms import FloatArray
@@ -195,6 +195,19 @@ def spread_penalty(pixels: FloatArray, taken: FloatArray, distance: float) -> Fl
 # Of the mean gradient product, where OpenCV has the sum over 49 pixels of Sobel gradients (8 times
 # the derivative), divided by 4 * 7 * 255.
 _GRAY_LEVELS = np.float32((4.0 * 7.0 * 255.0 / 8.0) ** 2 / 49.0)
+# Least corner strength: square root of the smaller eigenvalue of the mean gradient product in a
+# 7 x 7 window (Shi and Tomasi 1994) [gray levels/px].
+_MIN_CORNER = 4.0
+_SPREAD_WEIGHT = 2.0  # of the penalty for being near another fiducial
+_SPREAD_DISTANCE = 40.0  # scale of that penalty [px]
+MIN_DISTANCE = 12.0
+"""Fiducials are never nearer to each other [px]."""
+BORDER = 16
+"""Nothing is chosen this near to the image's border [px]."""
+_LARGEST_WINDOW = 31  # of the visual contrast, odd [px]
+_DEPTH_WINDOWS = (9, 13, 17)  # of the depth contrast, odd, growing [px]
+_LARGEST_RADIUS = 3  # shells of voxels that the certainty looks at
+_HALF_CERTAINTY = 0.05  # without a map: relative sigma of the range at which it is one half
 
 
 @dataclass(frozen=True)
@@ -213,35 +226,7 @@ class FiducialSelectionConfig:
         low=0.0,
         high=100.0,
     )
-    spread_weight: float = setting(
-        2.0, "Weight of the penalty for being near another fiducial.", low=0.0, high=100.0
-    )
-    spread_distance: ClassVar[float] = 40.0
-    """Scale of that penalty [px]."""
-    min_distance: ClassVar[float] = 12.0
-    """Fiducials are never nearer to each other [px]."""
-    border: ClassVar[int] = 16
-    """Nothing is chosen this near to the image's border [px]."""
     candidates: int = setting(250, "Most corners that are evaluated.", low=10, high=5000)
-    min_corner: float = setting(
-        4.0,
-        "Least corner strength: square root of the smaller eigenvalue of the mean gradient "
-        "product in a 7 x 7 window (Shi and Tomasi 1994).",
-        unit="gray levels/px",
-        low=0.0,
-        high=100.0,
-    )
-    largest_window: int = setting(
-        31, "Largest window of the visual contrast, odd.", unit="px", low=5, high=101
-    )
-    depth_windows: tuple[int, ...] = setting(
-        (9, 13, 17), "Windows of the depth contrast, odd, growing.", unit="px", low=5, high=101
-    )
-    largest_radius: ClassVar[int] = 3
-    """Shells of voxels that the certainty looks at."""
-    half_certainty: ClassVar[float] = 0.05
-    """Without a map: relative sigma of the range at which the certainty is one half."""
-    needs_range: bool = setting(True, "Only what has a range is chosen.")
     dense_range: bool = setting(
         False,
         "Have the dense cloud worked out for the depth contrast where it is not at hand; "
@@ -250,8 +235,6 @@ class FiducialSelectionConfig:
 
     def __post_init__(self) -> None:
         check_config(self)
-        if self.largest_window % 2 == 0:
-            raise ConfigError("largest_window", self.largest_window, "an odd number")
 
 
 class FiducialScores(NamedTuple):
@@ -308,17 +291,16 @@ def select_fiducials(
     if count <= 0 or len(pixels) == 0:
         return np.zeros((0, 2))
     inverse, sigmas = view.inverse_depths(pixels)
-    if config.needs_range:
-        measured = inverse > 0.0
-        pixels, inverse, sigmas = pixels[measured], inverse[measured], sigmas[measured]
+    measured = inverse > 0.0
+    pixels, inverse, sigmas = pixels[measured], inverse[measured], sigmas[measured]
     if voxel_map is None or T_map_camera is None:
-        sure = range_certainty(inverse, sigmas, config.half_certainty)
+        sure = range_certainty(inverse, sigmas, _HALF_CERTAINTY)
     else:
         pose = check_transform(T_map_camera, "T_map_camera")
         points = transform_points(pose, _points(view, pixels, inverse))
-        sure = certainty(voxel_map, points, config.largest_radius)
+        sure = certainty(voxel_map, points, _LARGEST_RADIUS)
     scores = evaluate(view, pixels, sure, config)
-    return pixels[_spread_out(pixels, scores.total(config), others, count, config)]
+    return pixels[_spread_out(pixels, scores.total(config), others, count)]
 
 
 def evaluate(
@@ -333,14 +315,14 @@ def evaluate(
         view: what is seen.
         pixels: shape (N, 2) [px].
         sure: certainties, shape (N,), in [0, 1].
-        config: windows.
+        config: weights.
     """
-    contrast = visual_contrast(view.image, pixels, config.largest_window)
+    contrast = visual_contrast(view.image, pixels, _LARGEST_WINDOW)
     depth = np.zeros(len(pixels))
     if config.depth_weight > 0.0 and (view.has_cloud or config.dense_range):
         cloud = view.cloud()
         sigmas = np.sqrt(cloud.covariance_triangles[..., 5])
-        depth = depth_contrast(cloud.range_image, sigmas, pixels, config.depth_windows)
+        depth = depth_contrast(cloud.range_image, sigmas, pixels, _DEPTH_WINDOWS)
     return FiducialScores(sure, _saturated(contrast), _saturated(depth))
 
 
@@ -359,10 +341,10 @@ def corner_candidates(
     response = cv2.cornerMinEigenVal(image, 7) * _GRAY_LEVELS
     peaks = response >= cv2.dilate(response, np.ones((5, 5), np.uint8))
     free = np.zeros(image.shape, np.uint8)
-    free[config.border : height - config.border, config.border : width - config.border] = 1
+    free[BORDER : height - BORDER, BORDER : width - BORDER] = 1
     for u, v in np.rint(taken).astype(int).tolist():
-        cv2.circle(free, (u, v), int(config.min_distance), 0, -1)
-    peaks &= (response >= config.min_corner**2) & (free > 0)
+        cv2.circle(free, (u, v), int(MIN_DISTANCE), 0, -1)
+    peaks &= (response >= _MIN_CORNER**2) & (free > 0)
     rows, columns = np.nonzero(peaks)
     strength = response[rows, columns]
     cell = max(16, round(np.sqrt(height * width / config.candidates) * 3.0))
@@ -400,17 +382,16 @@ def _spread_out(
     scores: FloatArray,
     taken: FloatArray,
     count: int,
-    config: FiducialSelectionConfig,
 ) -> NDArray[np.int64]:
     """Best first, each choice lowering the value of what is near it."""
-    penalty = spread_penalty(pixels, taken, config.spread_distance)
+    penalty = spread_penalty(pixels, taken, _SPREAD_DISTANCE)
     usable = np.isfinite(scores)
     chosen: list[int] = []
     while len(chosen) < count and usable.any():
-        values = np.where(usable, scores - config.spread_weight * penalty, -np.inf)
+        values = np.where(usable, scores - _SPREAD_WEIGHT * penalty, -np.inf)
         best = int(values.argmax())
         chosen.append(best)
         near = pixels[best : best + 1]
-        penalty = np.maximum(penalty, spread_penalty(pixels, near, config.spread_distance))
-        usable &= np.square(pixels - near).sum(axis=1) >= config.min_distance**2
+        penalty = np.maximum(penalty, spread_penalty(pixels, near, _SPREAD_DISTANCE))
+        usable &= np.square(pixels - near).sum(axis=1) >= MIN_DISTANCE**2
     return np.array(chosen, dtype=np.int64)

@@ -22,15 +22,10 @@ rectification is exact. The floor is larger by the 0.1 px that calibrations in u
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import ClassVar
-
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from infomap_ros.errors import ConfigError
-from infomap_ros.geometry.config import check_config, setting
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.localization.fiducials.patch_alignment import sample_patch
 
@@ -48,40 +43,13 @@ _LEAST_LEAD = 0.02
 _RESIDUAL_NOISE, _GRADIENT_NOISE = 0.1, 0.1
 # Matches this near to the best one do not rival it [px].
 _SAME_PEAK = 2
-
-
-@dataclass(frozen=True)
-class SparseStereoConfig:
-    """How single pixels are matched.
-
-    Raises:
-        ConfigError: a value is out of its range.
-    """
-
-    window: int = setting(11, "Side of the matching window, odd.", unit="px", low=5, high=31)
-    min_correlation: ClassVar[float] = 0.7
-    """A match must have at least this normalized cross-correlation."""
-    max_rivalry: ClassVar[float] = 0.8
-    """The best match must lack at most this share of the correlation that the second best lacks;
-    1 accepts any.
-    """
-    left_right_tolerance: int = setting(
-        1, "Largest difference of the match found from the right image.", unit="px", low=0, high=8
-    )
-    sigma_floor: float = setting(
-        0.13,
-        "Disparity sigma of a perfect match: what calibration, lenses and surfaces add.",
-        unit="px",
-        low=0.001,
-        high=10.0,
-    )
-    sigma_residual: ClassVar[float] = 0.2
-    """Disparity sigma as a share of the photometric residual over the gradient."""
-
-    def __post_init__(self) -> None:
-        check_config(self)
-        if self.window % 2 == 0:
-            raise ConfigError("window", self.window, "an odd number")
+_WINDOW = 11  # side of the matching window, odd [px]
+_MIN_CORRELATION = 0.7  # normalized cross-correlation that a match must have
+# The best match must lack at most this share of the correlation that the second best lacks.
+_MAX_RIVALRY = 0.8
+_LEFT_RIGHT_TOLERANCE = 1.0  # of the match found from the right image [px]
+_SIGMA_FLOOR = 0.13  # disparity sigma of a perfect match: calibration, lenses and surfaces [px]
+_SIGMA_RESIDUAL = 0.2  # disparity sigma as a share of the photometric residual over the gradient
 
 
 def match_pixels(
@@ -89,7 +57,6 @@ def match_pixels(
     right: NDArray[np.uint8],
     pixels: FloatArray,
     search: tuple[int, int],
-    config: SparseStereoConfig,
 ) -> tuple[FloatArray, FloatArray]:
     """Measure the disparity of single pixels.
 
@@ -98,22 +65,21 @@ def match_pixels(
         right: rectified image, shape (H, W).
         pixels: (u, v) in the left image, anywhere between pixel centers, shape (N, 2) [px].
         search: smallest and largest disparity that may occur [px].
-        config: of the matching and its noise.
 
     Returns:
         Disparities and their standard deviations, shape (N,) each [px]; NaN where there is no
         match that can be trusted.
     """
     quality = np.full((len(pixels), 3), np.nan)
-    limits = (config.min_correlation, config.max_rivalry, float(config.left_right_tolerance))
+    limits = (_MIN_CORRELATION, _MAX_RIVALRY, _LEFT_RIGHT_TOLERANCE)
     places = np.ascontiguousarray(pixels, dtype=np.float64)
-    _match_all(left, right, places, search, config.window // 2, limits, quality)
+    _match_all(left, right, places, search, _WINDOW // 2, limits, quality)
     disparity, residual, gradient = quality.T
     residual = residual + _RESIDUAL_NOISE
     # Noise in both images adds an eighth of its variance to the mean squared gradient.
     slope = np.maximum(gradient - residual / 8.0, gradient / 4.0) + _GRADIENT_NOISE
-    matching = config.sigma_residual**2 * residual / slope
-    return disparity.copy(), np.sqrt(config.sigma_floor**2 + matching)
+    matching = _SIGMA_RESIDUAL**2 * residual / slope
+    return disparity.copy(), np.sqrt(_SIGMA_FLOOR**2 + matching)
 
 
 @njit(nogil=True, cache=True, error_model="numpy")

@@ -21,7 +21,12 @@ from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry import float_array
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.localization.fiducials.appearance import describe, descriptor_size, find_again
-from infomap_ros.localization.fiducials.dormant import DormantFiducials, at_scale, believed
+from infomap_ros.localization.fiducials.dormant import (
+    SIGMA_FACTOR,
+    DormantFiducials,
+    at_scale,
+    believed,
+)
 from infomap_ros.localization.fiducials.observations import FiducialObservations
 from infomap_ros.localization.fiducials.patch_alignment import (
     MARGIN,
@@ -31,14 +36,7 @@ from infomap_ros.localization.fiducials.patch_alignment import (
     cut_templates,
 )
 from infomap_ros.localization.fiducials.range_view import RangeView, check_pixels
-from infomap_ros.localization.fiducials.tracks import (
-    FiducialTrackerConfig,
-    Tracks,
-    new_tracks,
-    tracks_from_arrays,
-)
-
-__all__ = ["FiducialTracker", "FiducialTrackerConfig"]
+from infomap_ros.localization.fiducials.tracks import Tracks, new_tracks, tracks_from_arrays
 
 # Whole pixels that are searched where flow or a descriptor leads, not the last sight [px].
 _FLOW_SEARCH = 2
@@ -46,19 +44,24 @@ _FLOW_SEARCH = 2
 # How much an image may be blurred against the templates (sigma) [px].
 _BLURS = (0.0, 1.2, 2.0, 3.0)
 
+_TEMPLATE = 15  # side of a fiducial's template, odd [px]
+_GOOD_CORRELATION = 0.9  # with which it is well seen, and may give a new template
+_MAX_WARP = 1.8  # factor of stretching or shrinking from which on a template is renewed
+_SEARCH_RADIUS = 6  # about the predicted place of a fiducial that flow has lost [px]
+_MAX_MISSED_VIEWS = 5  # in a row, after which a fiducial is given up
+_LARGE_STEP = 0.5  # share of fiducials that flow may lose before descriptors are compared
+# Where a smaller share of what flow has found is well seen, the image is taken to be blurred.
+_SHARP_SHARE = 0.7
+_SIGMA_FLOOR = 0.05  # of pixels [px]
+
 
 class FiducialTracker:
-    """Follows fiducials from view to view; see the module's head.
+    """Follows fiducials from view to view; see the module's head."""
 
-    Attributes:
-        config: parameters.
-    """
-
-    def __init__(self, config: FiducialTrackerConfig | None = None) -> None:
-        self.config = config or FiducialTrackerConfig()
-        self._flow = OpticalFlow(self.config.flow)
-        self._tracks = _no_tracks(self.config)
-        self._dormant = DormantFiducials(self.config, self._tracks)
+    def __init__(self) -> None:
+        self._flow = OpticalFlow()
+        self._tracks = _no_tracks()
+        self._dormant = DormantFiducials(self._tracks)
 
     @property
     def ids(self) -> NDArray[np.int64]:
@@ -116,8 +119,8 @@ class FiducialTracker:
         places, found = self._flow.follow(view.image, tracks.flowed, start)
         found &= tracks.followed
         places = np.where(found[:, None], places, start)
-        search = np.where(found | ~known, 0, self.config.search_radius)
-        search[found & (tracks.missed > 0)] = min(_FLOW_SEARCH, self.config.search_radius)
+        search = np.where(found | ~known, 0, _SEARCH_RADIUS)
+        search[found & (tracks.missed > 0)] = _FLOW_SEARCH
         self._recover(view, places, search, found)
         aligned, seen = self._align(view.image, places, search, found)
         tracks.flowed[:] = np.where(seen[:, None], aligned.pixels, places)
@@ -125,7 +128,7 @@ class FiducialTracker:
         self._note(view.image, aligned, seen)
         observations = self._observe(view, tracks.select(seen), aligned.sigmas[seen])
         _note_ranges(tracks, seen, observations.inverse_depths)
-        self._rest(tracks.missed > self.config.max_missed_views)
+        self._rest(tracks.missed > _MAX_MISSED_VIEWS)
         return observations
 
     def recall(
@@ -180,19 +183,16 @@ class FiducialTracker:
         return self._tracks.joined(self._dormant.tracks).arrays()
 
     @classmethod
-    def from_state(
-        cls, state: Mapping[str, NDArray[Any]], config: FiducialTrackerConfig | None = None
-    ) -> FiducialTracker:
+    def from_state(cls, state: Mapping[str, NDArray[Any]]) -> FiducialTracker:
         """A tracker that knows the fiducials of another; all are dormant.
 
         Args:
-            state: made by `state`.
-            config: as the other's; templates and descriptors must have the same size.
+            state: made by `state`; templates and descriptors must have the same size.
 
         Raises:
-            InvalidInputError: an array is missing or does not fit the configuration.
+            InvalidInputError: an array is missing or does not fit.
         """
-        tracker = cls(config)
+        tracker = cls()
         tracker._dormant.add(tracks_from_arrays(state, like=tracker._tracks))
         return tracker
 
@@ -204,8 +204,8 @@ class FiducialTracker:
     def _chosen(self, view: RangeView, ids: NDArray[np.int64], pixels: FloatArray) -> Tracks:
         """Tracks of the new fiducials whose template lies inside the image."""
         warps = np.tile(np.eye(2), (len(ids), 1, 1))
-        templates, inside = cut_templates(view.image, pixels, warps, self.config.template)
-        descriptors = describe(view.image, pixels, self.config.appearance)
+        templates, inside = cut_templates(view.image, pixels, warps, _TEMPLATE)
+        descriptors = describe(view.image, pixels)
         inverse = view.inverse_depths(pixels)[0]
         return new_tracks(ids, pixels, templates, inverse, descriptors).select(inside)
 
@@ -230,12 +230,12 @@ class FiducialTracker:
     ) -> None:
         """After a large step, look for what flow has lost by descriptors; in place."""
         lost = np.flatnonzero(~found)
-        if len(lost) <= self.config.large_step * len(found):
+        if len(lost) <= _LARGE_STEP * len(found):
             return
-        again = find_again(view, self._tracks.descriptors[lost], config=self.config.appearance)
+        again = find_again(view, self._tracks.descriptors[lost])
         rows = lost[again.indices]
         places[rows] = again.pixels
-        search[rows] = min(_FLOW_SEARCH, self.config.search_radius)
+        search[rows] = _FLOW_SEARCH
 
     def _align(
         self,
@@ -249,41 +249,41 @@ class FiducialTracker:
         Returns:
             The alignment of all, and which of them are believed, shape (N,).
         """
-        tracks, config = self._tracks, self.config
+        tracks = self._tracks
         best, most = None, -1
         for blur in _BLURS:
             aligned = align_templates(image, tracks.templates, places, tracks.warps, search, blur)
-            fitting = int(np.count_nonzero(aligned.correlations >= config.good_correlation))
+            fitting = int(np.count_nonzero(aligned.correlations >= _GOOD_CORRELATION))
             if best is None or fitting > most:
                 best, most = aligned, fitting
-            if most > config.sharp_share * np.count_nonzero(found):
+            if most > _SHARP_SHARE * np.count_nonzero(found):
                 break
         assert best is not None
-        return best, believed(best, places, search, config)
+        return best, believed(best, places, search)
 
     def _note(self, image: NDArray[np.uint8], aligned: Alignment, seen: NDArray[np.bool_]) -> None:
         """Keep where fiducials are; renew templates that are stretched a lot but well seen."""
-        tracks, config = self._tracks, self.config
+        tracks = self._tracks
         tracks.missed[:] = np.where(seen, 0, tracks.missed + 1)
         tracks.pixels[seen] = aligned.pixels[seen]
         tracks.warps[seen] = aligned.warps[seen]
         stretch = np.abs(np.log(np.linalg.svd(tracks.warps, compute_uv=False))).max(axis=1)
-        well = seen & (stretch > np.log(config.max_warp))
-        well[seen] &= aligned.correlations[seen] >= config.good_correlation
+        well = seen & (stretch > np.log(_MAX_WARP))
+        well[seen] &= aligned.correlations[seen] >= _GOOD_CORRELATION
         upright = np.tile(np.eye(2), (int(well.sum()), 1, 1))
-        patches, inside = cut_templates(image, tracks.pixels[well], upright, config.template)
+        patches, inside = cut_templates(image, tracks.pixels[well], upright, _TEMPLATE)
         rows = np.flatnonzero(well)[inside]
         tracks.templates[rows], tracks.warps[rows] = patches[inside], np.eye(2)
-        tracks.descriptors[rows] = describe(image, tracks.pixels[rows], config.appearance)
+        tracks.descriptors[rows] = describe(image, tracks.pixels[rows])
         tracks.inverse_depths[rows] = np.nan
-        tracks.creep[rows] += np.square(config.sigma_factor * aligned.sigmas[rows])
+        tracks.creep[rows] += np.square(SIGMA_FACTOR * aligned.sigmas[rows])
 
     def _observe(self, view: RangeView, tracks: Tracks, noise: FloatArray) -> FiducialObservations:
-        config, noise = self.config, at_scale(noise, tracks.warps)
-        sigmas = np.sqrt(np.square(config.sigma_factor * noise) + tracks.creep)
+        noise = at_scale(noise, tracks.warps)
+        sigmas = np.sqrt(np.square(SIGMA_FACTOR * noise) + tracks.creep)
         inverse, spread = view.inverse_depths(tracks.pixels)
         return FiducialObservations(
-            tracks.ids, tracks.pixels, np.maximum(sigmas, config.sigma_floor), inverse, spread
+            tracks.ids, tracks.pixels, np.maximum(sigmas, _SIGMA_FLOOR), inverse, spread
         )
 
 
@@ -294,9 +294,9 @@ def _note_ranges(tracks: Tracks, seen: NDArray[np.bool_], inverse_depths: FloatA
     tracks.inverse_depths[seen] = np.where(np.isnan(known), inverse_depths / scale, known)
 
 
-def _no_tracks(config: FiducialTrackerConfig) -> Tracks:
+def _no_tracks() -> Tracks:
     nothing = np.zeros((0, 2))
-    side = config.template + 2 * MARGIN
+    side = _TEMPLATE + 2 * MARGIN
     templates = np.zeros((0, side, side), np.float32)
     descriptors = np.zeros((0, descriptor_size()), np.uint8)
     return new_tracks(np.zeros(0, np.int64), nothing, templates, np.zeros(0), descriptors)

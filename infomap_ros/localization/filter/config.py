@@ -36,7 +36,7 @@ class FiducialFilterConfig:
     """
     majority: ClassVar[float] = 0.6
     """Share of the known fiducials in view that must agree, unless the others are seen to move in
-    a way that the motion prior excludes.
+    a motion that the motion prior excludes.
     """
     ambiguity: ClassVar[float] = 0.5
     """Size of a second group of fiducials that agree on another plausible motion, as a share of
@@ -52,7 +52,7 @@ class FiducialFilterConfig:
     """A motion that is farther from its prior than so many standard deviations does not overrule
     it.
     """
-    overruling_told: ClassVar[float] = 0.9
+    overruling_gain: ClassVar[float] = 0.9
     """Share of the motion's variance, enlarged so that the prior agrees, which an image that
     overrules it must take away in every direction: few fiducials that leave one open do not.
     """

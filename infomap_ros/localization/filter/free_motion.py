@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry import make_transform
-from infomap_ros.geometry.config import check_config, setting
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.localization.filter.motion_prior import MotionPrior
 
@@ -23,48 +21,20 @@ _WIDER, _FASTEST = 3.0, 40.0
 """Factor of the speed that is tried where the images contradict the expected one, and its end
 [m/s]: the speed of a car on a motorway."""
 
-
-@dataclass(frozen=True)
-class FreeMotionConfig:
-    """How a camera may move of which nothing is known but that it is carried.
-
-    Raises:
-        ConfigError: a value is out of its range.
-    """
-
-    speed: float = setting(
-        0.7,
-        "Standard deviation of the speed along each axis while nothing is known of it.",
-        unit="m/s",
-        low=1e-4,
-        high=100.0,
-    )
-    turn_rate: float = setting(
-        1.0, "Standard deviation of the turn rate about each axis.", unit="rad/s", low=1e-4, high=30
-    )
-    longest: float = setting(
-        3.0,
-        "Longer gaps count as this long: a camera that is carried about stays in its room.",
-        unit="s",
-        low=0.01,
-        high=1000.0,
-    )
-
-    def __post_init__(self) -> None:
-        check_config(self)
+_SPEED, _TURN_RATE = 0.7, 1.0  # sigmas per axis while nothing is known of them [m/s, rad/s]
+_LONGEST = 3.0  # longer gaps count as this long: a camera that is carried stays in its room [s]
 
 
-def free_motion(duration: float, config: FreeMotionConfig | None = None) -> MotionPrior:
+def free_motion(duration: float) -> MotionPrior:
     """Prior where neither odometry nor joint states exist: anything that is not too fast.
 
     Args:
         duration: between the two images [s].
-        config: speeds.
 
     Raises:
         InvalidInputError: the duration is negative or not finite.
     """
-    return FreeMotion(config).expected(duration)
+    return FreeMotion().expected(duration)
 
 
 class FreeMotion:
@@ -73,13 +43,9 @@ class FreeMotion:
     The next motion is expected to be like the last one (constant velocity), with standard
     deviations that grow with it. Where the images contradict that, as at the beginning and after a
     jerk, wider ones are tried (`wider`).
-
-    Args:
-        config: of a camera of which nothing is known yet.
     """
 
-    def __init__(self, config: FreeMotionConfig | None = None) -> None:
-        self._config = config or FreeMotionConfig()
+    def __init__(self) -> None:
         self.clear()
 
     def clear(self) -> None:
@@ -107,7 +73,7 @@ class FreeMotion:
         """
         if not (np.isfinite(duration) and duration >= 0.0):
             raise InvalidInputError("duration", f"is {duration} s, expected at least 0")
-        time = min(duration, self._config.longest)
+        time = min(duration, _LONGEST)
         step = self._velocity * time
         motion = make_transform(Rotation.from_rotvec(step[3:]).as_matrix(), step[:3])
         speed, turn_rate = self._sigmas()
@@ -119,7 +85,7 @@ class FreeMotion:
         Args:
             duration: [s].
         """
-        time = min(duration, self._config.longest)
+        time = min(duration, _LONGEST)
         speed, turn_rate = self._sigmas()
         while speed < _FASTEST:
             speed *= _WIDER
@@ -127,8 +93,8 @@ class FreeMotion:
 
     def _sigmas(self) -> tuple[float, float]:
         speed, turn_rate = (float(np.linalg.norm(part)) for part in np.split(self._velocity, 2))
-        return self._config.speed + _CHANGE * speed, self._config.turn_rate + _CHANGE * turn_rate
+        return _SPEED + _CHANGE * speed, _TURN_RATE + _CHANGE * turn_rate
 
 
-def _covariance(way: float, turn: float) -> FloatArray:
-    return np.diag(np.square(np.repeat([way, turn], 3)))
+def _covariance(distance: float, turn: float) -> FloatArray:
+    return np.diag(np.square(np.repeat([distance, turn], 3)))

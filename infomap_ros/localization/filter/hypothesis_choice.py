@@ -33,7 +33,7 @@ from infomap_ros.localization.filter.pose_hypothesis import (
     Hypothesis,
     examine,
     examine_with_or_without_prior,
-    share_told,
+    least_gain,
 )
 from infomap_ros.localization.filter.sight import BoolArray, Measured, Sight
 
@@ -51,7 +51,7 @@ from infomap_ros.localization.filter.sight import BoolArray, Measured, Sight
 # doi:10.1016/0734-189X(87)90144-5). Of m equal witnesses of something unknown it is 1 - 1/m. What
 # counts here is by how much it is smaller than it would be if only the camera's pose were unknown.
 
-_GROSS = 1.0  # [px], sigma of pixels for which redundancy is told
+_GROSS = 1.0  # [px], sigma of pixels for which redundancy is given
 _POSE = 1e-9  # that keeps few fiducials from leaving the pose undetermined, of its information
 
 
@@ -181,7 +181,7 @@ def explain(
         overruled = True
         found = hypotheses(state, wider, image, voters, config)
         chosen, reason = choose(found, contested, int(voters.sum()), config)
-        if chosen is not None and share_told(state, chosen, image.indices) < config.overruling_told:
+        if chosen is not None and least_gain(state, chosen, image.indices) < config.overruling_gain:
             return None, CONTRADICTION, False
     if chosen is not None:
         chosen = _supported(state, _joined(state, chosen, image, admitted, config), image, config)

@@ -18,7 +18,7 @@ from infomap_ros.geometry import (
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.localization.dead_reckoning import DeadReckoningConfig
 
-_REST_WAY, _REST_TURN = 0.003, 0.003  # [m], [rad]: encoders are noisy
+_REST_DISTANCE, _REST_TURN = 0.003, 0.003  # [m], [rad]: encoders are noisy
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +69,7 @@ class RobotPosture:
 class KinematicMotion:
     """Prior from wheel odometry and the arm's forward kinematics.
 
-    Odometry errs by independent steps, so its variances grow in proportion to the way; the
+    Odometry errs by independent steps, so its variances grow in proportion to the distance; the
     kinematics (play, suspension) err anew at both ends.
 
     Attributes:
@@ -98,22 +98,22 @@ class KinematicMotion:
         they did when the pose before was measured.
         """
         motion = invert_transform(before.T_odom_camera) @ after.T_odom_camera
-        way = float(np.linalg.norm(motion[:3, 3]))
+        distance = float(np.linalg.norm(motion[:3, 3]))
         turned = float(Rotation.from_matrix(motion[:3, :3]).magnitude())
-        if way < _REST_WAY and turned < _REST_TURN:
+        if distance < _REST_DISTANCE and turned < _REST_TURN:
             return MotionPrior(motion, np.zeros((6, 6)))
         return self.between(before, after)
 
     def _odometry_covariance(self, before: RobotPosture, after: RobotPosture) -> FloatArray:
         """What the base's motion adds, in the old camera's frame, shape (6, 6)."""
         base_motion = invert_transform(before.T_odom_base) @ after.T_odom_base
-        way = float(np.linalg.norm(base_motion[:3, 3]))
+        distance = float(np.linalg.norm(base_motion[:3, 3]))
         turned = float(Rotation.from_matrix(base_motion[:3, :3]).magnitude())
         lever = base_motion[:3, :3] @ after.T_base_camera[:3, 3]
         over = np.eye(6)
         over[:3, 3:] = -skew(lever)
         over = np.kron(np.eye(2), before.T_base_camera[:3, :3].T) @ over
-        return np.asarray(over @ self.config.step_covariance(way, turned) @ over.T)
+        return np.asarray(over @ self.config.step_covariance(distance, turned) @ over.T)
 
     def _kinematics_covariance(self, motion: FloatArray) -> FloatArray:
         """What the kinematics add at the two ends, in the old camera's frame, shape (6, 6)."""

@@ -205,8 +205,8 @@ def examine(
     )
 
 
-def share_told(state: InvariantState, hypothesis: Hypothesis, group: NDArray[np.int64]) -> float:
-    """How much of the motion a hypothesis tells where it tells least, 0 to 1.
+def least_gain(state: InvariantState, hypothesis: Hypothesis, group: NDArray[np.int64]) -> float:
+    """How much of the motion a hypothesis determines where it does least, 0 to 1.
 
     Args:
         state: before the motion.

@@ -16,7 +16,7 @@ clock   advances by ``-ln c(k, k-1) / (s sqrt(c(k, k) c(k-1, k-1)))``.
 Offset and covariance are exact. Approximated are: the form of the drift's covariance, that of what
 remains; its share at k, that at k-1; the decay, one for position and rotation, measured by the mean
 squared displacement of points at `_RANGE` from the camera, wherever that is; and a place to which
-the camera comes back after a long way counts as a new one, as the clock cannot run back. Where a
+the camera comes back after a long path counts as a new one, as the clock cannot run back. Where a
 camera rests, or has only odometry, nothing is approximated: the error of the last pose remains.
 
 Pose errors of the filter's kind and of the package's convention, and poses that are measured.

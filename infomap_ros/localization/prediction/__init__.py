@@ -1,1 +1,1 @@
-"""How well the camera's pose will be known at the end of a way not yet gone."""
+"""How well the camera's pose will be known at the end of a path not yet gone."""

@@ -1,16 +1,15 @@
-"""How well the camera's pose will be known at the end of ways not yet gone: LE of eq. (11).
+"""How well the camera's pose will be known at the end of paths not yet gone: LE of eq. (11).
 
-Along a way the pose errors grow as odometry drifts, and fiducials that are in sight hold them:
-those whose place is known tie the pose to the map, others tie the poses of the way to each other
+Along a path the pose errors grow as odometry drifts, and fiducials that are in sight hold them:
+those whose place is known tie the pose to the map, others tie the poses of the path to each other
 (visual odometry). Sujan and Dubowsky 2005, eq. (11) and sec. 2.5, doi:10.1177/0278364905051774.
 
-What a prediction of pose errors starts from: ways, and what is known of the fiducials.
+What a prediction of pose errors starts from: paths, and what is known of the fiducials.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -29,8 +28,8 @@ FLOOR = 1e-8
 
 
 @dataclass(frozen=True, eq=False)
-class Ways:
-    """Ways whose ends are judged; what is seen from them is as if they were straight.
+class Paths:
+    """Paths whose ends are judged; what is seen from them is as if they were straight.
 
     Attributes:
         ends: ``T_map_camera`` at the ends, shape (M, 4, 4).
@@ -46,7 +45,7 @@ class Ways:
     def __post_init__(self) -> None:
         ends, lengths = float_array(self.ends, "ends"), float_array(self.lengths, "lengths")
         if lengths.ndim != 1 or ends.shape != (len(lengths), 4, 4):
-            raise InvalidInputError("ways", f"ends {ends.shape} with lengths {lengths.shape}")
+            raise InvalidInputError("paths", f"ends {ends.shape} with lengths {lengths.shape}")
         object.__setattr__(self, "ends", ends)
         object.__setattr__(self, "lengths", lengths)
 
@@ -133,15 +132,6 @@ class ErrorPredictionConfig:
         low=1,
         high=50,
     )
-    pixel_sigma: float = setting(
-        0.5, "Standard deviation of a tracked pixel.", unit="px", low=0.01, high=20.0
-    )
-    disparity_sigma: float = setting(
-        0.3, "Standard deviation of a fiducial's disparity.", unit="px", low=0.01, high=20.0
-    )
-    farthest: float = setting(
-        6.0, "Largest depth at which a fiducial is tracked.", unit="m", low=0.1, high=1000.0
-    )
     fiducials: int = setting(
         60,
         "Of the known fiducials, so many are looked at; where there are more, each stands for "
@@ -149,16 +139,6 @@ class ErrorPredictionConfig:
         low=1,
         high=10_000,
     )
-    surface_points: int = setting(
-        40,
-        "So many points of the mapped surface stand for fiducials that will be found on the way.",
-        low=0,
-        high=10_000,
-    )
-    unseen_points: ClassVar[int] = 120
-    """At most so many points stand for fiducials in unknown space: those that are known, turned
-    about the vertical. 0: a camera that looks there is taken to find none.
-    """
 
     def __post_init__(self) -> None:
         check_config(self)
@@ -169,6 +149,17 @@ __all__ = ["ErrorPrediction", "ErrorPredictionConfig"]
 _FLOOR = FLOOR * np.eye(6)
 _NEAREST = 0.3
 """Smallest depth at which a fiducial is measured [m]."""
+_FARTHEST = 6.0
+"""Largest depth at which a fiducial is tracked [m]."""
+PIXEL_SIGMA = 0.5
+"""Standard deviation of a tracked pixel [px]."""
+_DISPARITY_SIGMA = 0.3
+"""Standard deviation of a fiducial's disparity [px]."""
+_SURFACE_POINTS = 40
+"""So many points of the mapped surface stand for fiducials that will be found on the way."""
+_UNSEEN_POINTS = 120
+"""At most so many points stand for fiducials in unknown space: those that are known, turned about
+the vertical."""
 _BORDER = 10.0
 """So near to the edge of the image nothing is tracked: half a template [px]."""
 _TOLERANCE = 6.0
@@ -179,7 +170,7 @@ _CELL = 0.5
 
 
 class ErrorPrediction:
-    """Predicts pose covariances at the ends of ways, for many ways at once.
+    """Predicts pose covariances at the ends of paths, for many paths at once.
 
     Args:
         rig: the rectified stereo pair.
@@ -198,8 +189,8 @@ class ErrorPrediction:
         camera = rig.left
         size = (float(camera.width), float(camera.height))
         self._camera = np.array([camera.fx, camera.fy, camera.cx, camera.cy, *size, _BORDER])
-        pixel = self.config.pixel_sigma**-2
-        inverse_depth = (camera.fx * rig.baseline / self.config.disparity_sigma) ** 2
+        pixel = PIXEL_SIGMA**-2
+        inverse_depth = (camera.fx * rig.baseline / _DISPARITY_SIGMA) ** 2
         self._precisions = np.array([pixel, pixel, inverse_depth])
 
     def surface_points(self, voxel_map: VoxelMap) -> FloatArray:
@@ -207,7 +198,7 @@ class ErrorPrediction:
         indices, means, _ = voxel_map.gaussians()
         means = means[np.lexsort(indices.T)]  # maps store the same voxels in different orders
         rng = np.random.default_rng(0)  # any points will do; the same map gives the same ones
-        count = min(self.config.surface_points, len(means))
+        count = min(_SURFACE_POINTS, len(means))
         return np.asarray(means[rng.choice(len(means), count, replace=False)])
 
     def new_points(
@@ -223,25 +214,25 @@ class ErrorPrediction:
         Returns:
             Shape (S, 3) [m, map].
         """
-        config, place = self.config, T_map_camera[:3, 3]
-        unseen = unseen_points(place, known, voxel_map, config.farthest, config.unseen_points)
+        place = T_map_camera[:3, 3]
+        unseen = unseen_points(place, known, voxel_map, _FARTHEST, _UNSEEN_POINTS)
         return np.concatenate([self.surface_points(voxel_map), unseen])
 
     def predict(
         self,
         T_map_camera: ArrayLike,
         covariance: ArrayLike,
-        ways: Ways,
+        paths: Paths,
         fiducials: tuple[ArrayLike, ArrayLike],
         new_points: ArrayLike = (),
         voxel_map: VoxelMap | None = None,
     ) -> FloatArray:
-        """Covariances of the camera's pose at the ends of ways.
+        """Covariances of the camera's pose at the ends of paths.
 
         Args:
-            T_map_camera: where the ways begin, shape (4, 4).
+            T_map_camera: where the paths begin, shape (4, 4).
             covariance: of that pose, shape (6, 6), convention of `geometry.transforms`.
-            ways: where they end.
+            paths: where they end.
             fiducials: positions of the known ones, shape (N, 3) [m, map], and their covariances,
                 shape (N, 3, 3) [m^2].
             new_points: places of fiducials of which nothing is known yet, shape (S, 3) [m, map];
@@ -262,8 +253,8 @@ class ErrorPrediction:
         informations = np.zeros((len(points), 3, 3))
         informations[: len(known)] = own_informations(spreads, shared) / share
         before[:3, :3] -= shared * np.eye(3)
-        centers, rotations, turns = self._waypoints(start, ways.ends)
-        chain = self._chain(before, centers, ways.lengths, turns)
+        centers, rotations, turns = self._waypoints(start, paths.ends)
+        chain = self._chain(before, centers, paths.lengths, turns)
         sight = self._sight(centers, rotations, points, voxel_map)
         sight[:, 0, : len(known)] = False  # what the start tells of them is in the covariances
         weights = np.ones(len(points))
@@ -276,7 +267,7 @@ class ErrorPrediction:
     def _waypoints(
         self, start: FloatArray, ends: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Places on straight ways, the start first: centers, rotations; and whole turns (M,).
+        """Places on straight paths, the start first: centers, rotations; and whole turns (M,).
 
         Shapes (M, K, 3), (M, K, 3, 3), (M,), K one more than the waypoints.
         """
@@ -292,24 +283,24 @@ class ErrorPrediction:
     def _chain(
         self, before: FloatArray, centers: FloatArray, lengths: FloatArray, turns: FloatArray
     ) -> FloatArray:
-        """Information of the poses of the way from the start and odometry, (M, 6 K, 6 K)."""
-        ways, places, _ = centers.shape
+        """Information of the poses of the path from the start and odometry, (M, 6 K, 6 K)."""
+        count, places, _ = centers.shape
         motion, steps = self._motion, places - 1
         position = motion.position_per_meter**2 * lengths / steps
         turning = motion.rotation_per_meter**2 * lengths + motion.rotation_per_radian**2 * turns
         noise = np.repeat(np.stack([position, turning / steps], axis=1), 3, axis=1)
         precision = np.linalg.inv(noise[:, :, None] * np.eye(6) + _FLOOR)
-        over = np.tile(np.eye(6), (ways, 1, 1))
-        over[:, :3, 3:] = -_skews(centers[:, 1] - centers[:, 0])  # all steps of a way are alike
+        over = np.tile(np.eye(6), (count, 1, 1))
+        over[:, :3, 3:] = -_skews(centers[:, 1] - centers[:, 0])  # all steps of a path are alike
         back = precision @ over
-        chain = np.zeros((ways, places, 6, places, 6))
+        chain = np.zeros((count, places, 6, places, 6))
         chain[:, 0, :, 0] = np.linalg.inv(before + _FLOOR)
         for k in range(1, places):
             chain[:, k, :, k] += precision
             chain[:, k - 1, :, k - 1] += over.transpose(0, 2, 1) @ back
             chain[:, k, :, k - 1] -= back
             chain[:, k - 1, :, k] -= back.transpose(0, 2, 1)
-        return chain.reshape(ways, 6 * places, 6 * places)
+        return chain.reshape(count, 6 * places, 6 * places)
 
     def _sight(
         self,
@@ -320,7 +311,7 @@ class ErrorPrediction:
     ) -> NDArray[np.bool_]:
         """Which points are seen from which waypoints, shape (M, K, N)."""
         sight = np.empty((*centers.shape[:2], len(points)), np.bool_)
-        limits = np.array([_NEAREST, self.config.farthest])
+        limits = np.array([_NEAREST, _FARTHEST])
         kernels.in_view(centers, rotations, points, self._camera, limits, sight)
         if voxel_map is None or not sight.any():
             return sight

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from infomap_ros.errors import ConfigError
 from infomap_ros.geometry import invert_transform, make_transform
-from infomap_ros.geometry.config import check_config, parameter, setting
+from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.localization.target.tag_detector import TagTargetConfig, TagTargetDetector
 from infomap_ros.localization.target.target import TargetDetector, TargetRefusal, TargetSighting
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class ModelTargetConfig:
-    """A CAD model as target, and when a sighting of it is believed.
+    """A CAD model as target.
 
     Raises:
         ConfigError: a value is out of its range.
@@ -29,40 +29,6 @@ class ModelTargetConfig:
 
     file: str = parameter("", "Mesh of the target: .obj, .stl, .ply, .dae and others.")
     scale: float = parameter(1.0, "Meters per unit of the mesh.", unit="m", low=1e-6, high=1000.0)
-    tolerance: float = setting(
-        0.015,
-        "Difference of depth that agrees, beside 3 sigma, as a share of the model's diameter.",
-        low=0.001,
-        high=0.1,
-    )
-    min_score: ClassVar[float] = 0.82
-    """Smallest share of the visible surface that must agree, less what is seen through."""
-    max_seen_through: ClassVar[float] = 0.1
-    """Largest share of the visible surface with range behind it."""
-    distinction: float = setting(
-        0.05,
-        "By how much less any other pose must score; less is ambiguous, as for a symmetric model.",
-        low=0.0,
-        high=1.0,
-    )
-    min_evidence: ClassVar[int] = 40
-    """Points of the visible surface, a fiftieth of the diameter apart, that must tell a pose from
-    any other at the same place, as those of a handle do; fewer are ambiguous.
-    """
-    max_against: ClassVar[float] = 0.25
-    """Largest share of them that may speak for the other pose."""
-    max_flat: float = setting(
-        0.6,
-        "Largest share of the visible surface that may lie on one plane, which could be anything.",
-        low=0.1,
-        high=1.0,
-    )
-    surface_sigma: ClassVar[float] = 0.001
-    """How far the real surface is from the mesh [m]."""
-    max_position_sigma: ClassVar[float] = 0.05
-    """A less certain position is refused [m]."""
-    max_rotation_sigma: ClassVar[float] = 0.1
-    """A less certain rotation is refused [rad]."""
 
     def __post_init__(self) -> None:
         check_config(self)

@@ -5,7 +5,7 @@ in its pixel. Farther: the camera looks through the model, which speaks against 
 something hides it. A patch of a larger surface, as of a wall, has neighbors that go on beyond the
 model's outline, which also speaks against the pose.
 
-Does the range map tell two poses of a model apart, or are they nearly the same to it?
+Does the range map distinguish two poses of a model, or are they nearly the same to it?
 
 A nearly symmetric model, turned onto itself, differs from itself in a few places alone. Whether all
 of the visible surface agrees says little then: those places have to speak, and for one pose.
@@ -27,7 +27,7 @@ from infomap_ros.stereo import RangeCloud
 _FACING = 0.25  # cosine between ray and normal below which a surface is not compared
 _FEWEST = 30
 _OPEN = 0.7  # share of an outline that is open for an object that stands on something
-_VAGUE = 5.0  # a depth with 3 sigma above so many tolerances tells nothing
+_VAGUE = 5.0  # a depth with 3 sigma above so many tolerances says nothing
 
 
 class Agreement(NamedTuple):
@@ -192,7 +192,7 @@ def _open_outline(points: FloatArray, cloud: RangeCloud, spacing: float, toleran
     return float(1.0 - goes_on.mean())
 
 
-_APART = 2.0  # limits of agreement between two surfaces that are told apart
+_APART = 2.0  # limits of agreement between two surfaces that are distinguished
 
 
 class Evidence(NamedTuple):
@@ -231,11 +231,11 @@ class PoseComparison:
 
     def evidence(self, cloud: RangeCloud, pose: FloatArray, rival: FloatArray) -> Evidence:
         """What a range map says of a pose and its rival, ``T_camera_model`` each, shape (4, 4)."""
-        own, missed = self._told_apart(cloud, pose, rival)
-        other, found = self._told_apart(cloud, rival, pose)
+        own, missed = self._distinguish(cloud, pose, rival)
+        other, found = self._distinguish(cloud, rival, pose)
         return Evidence(own + other, missed + (other - found))
 
-    def _told_apart(
+    def _distinguish(
         self, cloud: RangeCloud, pose: FloatArray, other: FloatArray
     ) -> tuple[int, int]:
         """Visible points that the other pose does not have, and how many are not measured."""

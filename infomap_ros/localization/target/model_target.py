@@ -156,13 +156,27 @@ _SAME_PLACE = 0.05  # poses nearer than this share of the diameter and
 _SAME_OBJECT = 0.5  # as is the object of poses nearer than this
 _SAME_TURN = 0.2  # [rad] are the same
 _CLEARLY_WORSE = 0.5  # poses that score less by this are none
+_TOLERANCE = 0.015  # difference of depth that agrees, beside 3 sigma, as a share of the diameter
+_MIN_SCORE = 0.82  # share of the visible surface that must agree, less what is seen through
+_MAX_SEEN_THROUGH = 0.1  # share of the visible surface with range behind it
+# By how much less any other pose must score; less is ambiguous, as for a symmetric model.
+_DISTINCTION = 0.05
+# Points of the visible surface, a fiftieth of the diameter apart, that must tell a pose from any
+# other at the same place, as those of a handle do; fewer are ambiguous.
+_MIN_EVIDENCE = 40
+_MAX_AGAINST = 0.25  # share of them that may speak for the other pose
+# Share of the visible surface that may lie on one plane, which could be anything.
+_MAX_FLAT = 0.6
+_SURFACE_SIGMA = 0.001  # how far the real surface is from the mesh [m]
+# Less certain sightings are refused [m], [rad].
+_MAX_POSITION_SIGMA, _MAX_ROTATION_SIGMA = 0.05, 0.1
 
 
 class ModelTargetDetector:
     """Finds a CAD model; see `target.TargetDetector`.
 
     Args:
-        config: the model, and when a sighting of it is believed.
+        config: the model.
         shape: the model's surface, where it does not come from ``config.file``.
 
     Raises:
@@ -176,14 +190,14 @@ class ModelTargetDetector:
         self.config = config
         self.shape = shape or load_model(config.file, config.scale)
         diameter = self.shape.diameter
-        self._search = ModelSearch(self.shape, config.tolerance * diameter)
+        self._search = ModelSearch(self.shape, _TOLERANCE * diameter)
         dense = self.shape.thinned(_DENSE * diameter)
-        self._fitter = ModelFitter(dense, config.surface_sigma)
+        self._fitter = ModelFitter(dense, _SURFACE_SIGMA)
         self._comparison = PoseComparison(
             self.shape.thinned(_FINE * diameter),
             dense,
             _FINE * diameter,
-            config.tolerance * diameter,
+            _TOLERANCE * diameter,
         )
 
     def detect(self, view: RangeView) -> TargetSighting | TargetRefusal:
@@ -211,15 +225,14 @@ class ModelTargetDetector:
 
     def _believed(self, one: Hypothesis) -> bool:
         agreement = one.agreement
-        enough = agreement.score >= self.config.min_score
-        return enough and agreement.seen_through <= self.config.max_seen_through
+        return agreement.score >= _MIN_SCORE and agreement.seen_through <= _MAX_SEEN_THROUGH
 
     def _is_shaped(self, one: Hypothesis) -> bool:
-        return self._search.flat_share(one.transform) <= self.config.max_flat
+        return self._search.flat_share(one.transform) <= _MAX_FLAT
 
     def _rival(self, best: Hypothesis, others: list[Hypothesis]) -> Hypothesis | None:
         """Another pose that fits about as well, or one of a single plane that fits better."""
-        limit = best.agreement.score - self.config.distinction
+        limit = best.agreement.score - _DISTINCTION
         for other in others:
             apart, turn = self._search.difference(best.transform, other.transform)
             elsewhere = apart > _SAME_PLACE * self.shape.diameter or turn > _SAME_TURN
@@ -242,8 +255,8 @@ class ModelTargetDetector:
             if other.agreement.score < best.agreement.score - _CLEARLY_WORSE:
                 continue
             found = self._comparison.evidence(scene.cloud, best.transform, other.transform)
-            few = found.places < self.config.min_evidence
-            if few or found.against_share > self.config.max_against:
+            few = found.places < _MIN_EVIDENCE
+            if few or found.against_share > _MAX_AGAINST:
                 text = (
                     f"{found.places} points tell it from a pose {np.degrees(turn):.0f} deg away, "
                     f"{found.against} of them speak against it"
@@ -252,7 +265,7 @@ class ModelTargetDetector:
         return None
 
     def _sighting(self, scene: ModelScene, best: Hypothesis) -> TargetSighting | TargetRefusal:
-        config, reach = self.config, self.config.tolerance * self.shape.diameter
+        reach = _TOLERANCE * self.shape.diameter
         depth = transform_points(best.transform, self.shape.center)[2]
         near = np.abs(scene.cloud.points[:, 2] - depth) < 0.5 * self.shape.diameter
         sigma = float(np.sqrt(np.median(scene.cloud.covariances[near, 2, 2])))
@@ -263,7 +276,7 @@ class ModelTargetDetector:
         if moved > _SAME_PLACE * self.shape.diameter or turned > _SAME_TURN:
             return _refuse("too uncertain", f"the refinement went {moved:.3f} m astray")
         position, rotation = _largest_sigmas(fit.covariance, fit.transform, self.shape.center)
-        if position > config.max_position_sigma or rotation > config.max_rotation_sigma:
+        if position > _MAX_POSITION_SIGMA or rotation > _MAX_ROTATION_SIGMA:
             return _refuse("too uncertain", f"sigma {position:.3f} m and {rotation:.3f} rad")
         refined = Hypothesis(fit.transform, self._search.check(fit.transform, scene))
         if not self._believed(refined):

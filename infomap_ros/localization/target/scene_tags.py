@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,7 @@ from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.localization.fiducials.observations import FiducialObservations
 from infomap_ros.localization.fiducials.range_view import RangeView
 from infomap_ros.localization.target.tag_board import FAMILIES, TagBoard, TagBoardConfig
-from infomap_ros.localization.target.tag_detection import TagDetectionConfig, TagFinder, Tags
+from infomap_ros.localization.target.tag_detection import TagFinder, Tags
 from infomap_ros.localization.target.tag_detector import TagTargetConfig, TagTargetDetector
 from infomap_ros.localization.target.tag_pose import point_jacobian
 from infomap_ros.localization.target.target import TargetSighting
@@ -32,7 +32,6 @@ class SceneTagsConfig:
         "none", "Family of the scene's tags that serve as landmarks.", choices=("none", *FAMILIES)
     )
     side: float = setting(0.16, "Edge of their black squares.", unit="m", low=0.005, high=5.0)
-    detection: TagDetectionConfig = field(default_factory=TagDetectionConfig)
 
     def __post_init__(self) -> None:
         check_config(self)
@@ -49,7 +48,7 @@ class SceneTags:
     def __init__(self, config: SceneTagsConfig, target: TagBoard | None = None) -> None:
         self._config = config
         is_used = config.family != "none"
-        self._finder = TagFinder(config.family, config.detection) if is_used else None
+        self._finder = TagFinder(config.family) if is_used else None
         own = target is not None and target.config.family == config.family
         self._of_target = target.ids if target is not None and own else ()
         none = Tags(np.zeros(0, np.int64), np.zeros((0, 4, 2)), np.zeros((0, 4, 2, 2)))
@@ -83,7 +82,7 @@ class SceneTags:
                 continue
             family, side = self._config.family, self._config.side
             board = TagBoardConfig(family, side, 1, 1, first_id=one, mounting="flat")
-            detector = TagTargetDetector(TagTargetConfig(board, self._config.detection))
+            detector = TagTargetDetector(TagTargetConfig(board))
             seen = detector.locate(tags.select(tags.ids == one), view)
             if isinstance(seen, TargetSighting):
                 pose, corners = seen.T_camera_target, detector.board.corners[0]
@@ -92,7 +91,7 @@ class SceneTags:
 
     def _find(self, view: RangeView) -> Tags:
         if self._finder is not None and self._last[0] != view.stamp:
-            found = self._finder.find(view.image)
+            found = self._finder.look(view)
             self._last = view.stamp, found.select(~np.isin(found.ids, self._of_target))
         return self._last[1]
 

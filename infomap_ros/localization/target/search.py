@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import ClassVar, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,10 +21,16 @@ from infomap_ros.geometry.config import check_config, setting
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.localization.target.model_scene import directions
 
+# Share of the field of view at each border in which the target would not be found.
+_MARGIN = 0.1
+_LOOK_COST = 0.5  # of a look beside turning, as an angle [rad]
+_DIRECTIONS = 800  # on the sphere
+_LEAST_GAIN = 0.02  # share of what is left to see that a look must cover to be proposed
+
 
 @dataclass(frozen=True)
 class TargetSearchConfig:
-    """Where a target may be, and what a look costs.
+    """Where a target may be.
 
     Raises:
         ConfigError: a value is out of its range, or the lowest elevation is above the highest.
@@ -34,28 +40,6 @@ class TargetSearchConfig:
         -0.8, "Lowest elevation at which the target may be.", unit="rad", low=-1.6, high=1.6
     )
     highest: float = setting(0.5, "Highest elevation.", unit="rad", low=-1.6, high=1.6)
-    margin: float = setting(
-        0.1,
-        "Share of the field of view at each border in which the target would not be found.",
-        low=0.0,
-        high=0.45,
-    )
-    look_cost: ClassVar[float] = 0.5
-    """Cost of a look beside turning, as an angle [rad]."""
-    directions: ClassVar[int] = 800
-    """Directions on the sphere."""
-    min_utility_ratio: float = setting(
-        0.02,
-        "Looks that cover a smaller share of what is left to see are not proposed.",
-        low=0.0,
-        high=1.0,
-    )
-    enough: float = setting(
-        0.97,
-        "When this share of the directions has been looked at in vain, the target is given up.",
-        low=0.01,
-        high=1.0,
-    )
 
     def __post_init__(self) -> None:
         check_config(self)
@@ -91,7 +75,7 @@ class TargetSearch:
     def __init__(self, camera: PinholeCamera, config: TargetSearchConfig | None = None) -> None:
         self.config = config or TargetSearchConfig()
         self._camera = camera
-        sphere = directions(self.config.directions)
+        sphere = directions(_DIRECTIONS)
         elevation = np.arcsin(np.clip(sphere[:, 2], -1.0, 1.0))
         within = (elevation >= self.config.lowest) & (elevation <= self.config.highest)
         self._directions = sphere[within]
@@ -146,11 +130,9 @@ class TargetSearch:
         while len(proposed) < count:
             gains = (self._covers & ~seen).mean(axis=1)
             turns = _angles(now, self._looks)
-            worth = np.where(allowed, gains / (turns + self.config.look_cost), -1.0)
+            worth = np.where(allowed, gains / (turns + _LOOK_COST), -1.0)
             best = int(np.argmax(worth))
-            if not allowed[best] or gains[best] <= self.config.min_utility_ratio * (
-                1.0 - seen.mean()
-            ):
+            if not allowed[best] or gains[best] <= _LEAST_GAIN * (1.0 - seen.mean()):
                 break
             allowed[best] = False
             if is_possible is None or is_possible(self._looks[best]):
@@ -163,7 +145,7 @@ class TargetSearch:
         """Directions that a camera turned so would see well inside its image."""
         camera = self._camera
         pixels = camera.project(self._directions @ rotation)
-        border = self.config.margin * np.array([camera.width, camera.height])
+        border = _MARGIN * np.array([camera.width, camera.height])
         high = np.array([camera.width, camera.height]) - 1.0 - border
         with np.errstate(invalid="ignore"):
             return np.asarray(((pixels >= border) & (pixels <= high)).all(axis=1))

@@ -1,14 +1,18 @@
 """Tags in an image: which ones, and where their corners are.
 
+Tags that another node has found: which of them are believed, and in which view they are.
+
 Tags in photos: which there are, drawn where they are.
 """
 
 from __future__ import annotations
 
+from collections import Counter, deque
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from math import comb, log2
 from pathlib import Path
-from typing import Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -17,9 +21,12 @@ from scipy.special import ndtr
 
 from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry import PinholeCamera
-from infomap_ros.geometry.config import check_config, setting
+from infomap_ros.geometry.records import Record, WaitingQueueConfig
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.localization.target.tag_board import FAMILIES, cells, dictionary
+
+if TYPE_CHECKING:
+    from infomap_ros.localization.fiducials.range_view import RangeView
 
 # Corners of tags to a fraction of a pixel, each with a covariance from the image itself.
 #
@@ -36,6 +43,13 @@ _BLUR, _LOG_BLUR_SIGMA = 0.8, 0.5  # prior of a step's blur: [px], and of its lo
 _LEAST_NOISE = 0.3  # [gray levels], rounding to whole gray levels
 _ITERATIONS = 12
 _DETERMINED = 1e-10  # smallest eigenvalue of a line's information, scaled to a unit diagonal
+_MIN_CONTRAST = 15.0  # smallest difference of white and black [gray levels]
+_MIN_SIDE = 12.0  # tags with a shorter edge are left out [px]
+# Share of the bits that a family can correct that are corrected. Fewer are safer.
+_CORRECTED_BITS = 0.4
+# Standard deviation of a corner from print, paper and lens, added to that of the image noise [px].
+# About 0.3 for a sheet before a webcam, 0.03 for a rendered board.
+_SIGMA_FLOOR = 0.25
 _PARALLEL = 0.05  # sine of the angle between two edges below which they have no corner
 _MOVED = 0.3  # [px] if corners moved by more, the pixels beside the edges are chosen again
 _ROOT_TWO_PI = float(np.sqrt(2.0 * np.pi))
@@ -272,34 +286,6 @@ def _intersect(first: _Line, second: _Line) -> tuple[FloatArray, FloatArray] | N
 aruco: Any = cv2.aruco  # whose functions were renamed in OpenCV 4.7
 
 
-@dataclass(frozen=True)
-class TagDetectionConfig:
-    """How tags are found.
-
-    Raises:
-        ConfigError: a value is out of its range.
-    """
-
-    min_contrast: float = setting(
-        15.0, "Smallest difference of white and black [gray levels].", low=1.0, high=255.0
-    )
-    min_side: ClassVar[float] = 12.0
-    """Tags with a shorter edge are left out [px]."""
-    corrected_bits: ClassVar[float] = 0.4
-    """Share of the bits that a family can correct that are corrected. Fewer are safer."""
-    sigma_floor: float = setting(
-        0.25,
-        "Standard deviation of a corner from print, paper and lens, added to that of the image "
-        "noise. About 0.3 for a sheet before a webcam, 0.03 for a rendered board.",
-        unit="px",
-        low=0.001,
-        high=5.0,
-    )
-
-    def __post_init__(self) -> None:
-        check_config(self)
-
-
 class Tags(NamedTuple):
     """Tags that were found.
 
@@ -327,21 +313,28 @@ class TagFinder:
         config: how.
     """
 
-    def __init__(self, family: str, config: TagDetectionConfig | None = None) -> None:
-        self.config = config or TagDetectionConfig()
-        self._cells = cells(family)
+    def __init__(self, family: str) -> None:
+        self._family, self._cells = family, cells(family)
         self._dictionary = dictionary(family)
-        self._parameters = _detector_parameters(self.config)
+        self._parameters = _detector_parameters()
 
     @property
     def evidence(self) -> float:
         """How unlikely it is that a random pattern passes for a tag, as ``-log2`` [bits]."""
         bits = int(self._dictionary.markerSize) ** 2
-        wrong = int(self._dictionary.maxCorrectionBits * self.config.corrected_bits)
+        wrong = int(self._dictionary.maxCorrectionBits * _CORRECTED_BITS)
         patterns = (
             4 * len(self._dictionary.bytesList) * sum(comb(bits, n) for n in range(wrong + 1))
         )
         return bits - log2(patterns)
+
+    def look(self, view: RangeView) -> Tags:
+        """The tags in a view: as another node has found them, else as `find` finds them."""
+        if view.tags is None:
+            return self.find(view.image)
+        given = view.tags[view.tags["family"] == self._family]
+        covariance = (_SIGMA_FLOOR**2 + _GIVEN_SIGMA**2) * np.eye(2)
+        return Tags(given["id"], given["corners"], np.tile(covariance, (len(given), 4, 1, 1)))
 
     def find(self, image: NDArray[np.uint8], may_repeat: bool = False) -> Tags:
         """Find tags.
@@ -358,11 +351,11 @@ class TagFinder:
         counts = {one: ids.count(one) for one in ids}
         found = []
         for one, quad in zip(ids, quads, strict=True):
-            if (may_repeat or counts[one] == 1) and _shortest_edge(quad) >= self.config.min_side:
-                corners = refine_corners(image, quad, self._cells, self.config.min_contrast)
+            if (may_repeat or counts[one] == 1) and _shortest_edge(quad) >= _MIN_SIDE:
+                corners = refine_corners(image, quad, self._cells, _MIN_CONTRAST)
                 if corners is not None:
                     found.append((one, corners))
-        floor = self.config.sigma_floor**2 * np.eye(2)
+        floor = _SIGMA_FLOOR**2 * np.eye(2)
         return Tags(
             np.array([one for one, _ in found], dtype=np.int64),
             np.reshape([corners.pixels for _, corners in found], (-1, 4, 2)),
@@ -370,7 +363,7 @@ class TagFinder:
         )
 
     def _detect(self, image: NDArray[np.uint8]) -> tuple[list[FloatArray], list[int]]:
-        shortest = _LEAST_CONTOUR * 4.0 * self.config.min_side
+        shortest = _LEAST_CONTOUR * 4.0 * _MIN_SIDE
         self._parameters.minMarkerPerimeterRate = shortest / max(image.shape)
         if hasattr(aruco, "ArucoDetector"):
             detector = aruco.ArucoDetector(self._dictionary, self._parameters)
@@ -383,16 +376,145 @@ class TagFinder:
         return [np.reshape(quad, (4, 2)).astype(np.float64) for quad in quads], names
 
 
-def _detector_parameters(config: TagDetectionConfig) -> Any:
+def _detector_parameters() -> Any:
     create = getattr(aruco, "DetectorParameters_create", None) or aruco.DetectorParameters
     parameters = create()
     parameters.cornerRefinementMethod = aruco.CORNER_REFINE_SUBPIX
-    parameters.errorCorrectionRate = config.corrected_bits
+    parameters.errorCorrectionRate = _CORRECTED_BITS
     return parameters
 
 
 def _shortest_edge(quad: FloatArray) -> float:
     return float(np.linalg.norm(np.roll(quad, -1, axis=0) - quad, axis=1).min())
+
+
+_TAG_FIELDS = ("family", "U32"), ("id", "i8"), ("hamming", "i8"), ("margin", "f8")
+TAG = np.dtype([*_TAG_FIELDS, ("corners", "f8", (4, 2))])
+"""A tag in an image: wrong bits, mean distance of bits from the threshold [gray levels], corners of
+the black square [px] as OpenCV gives them: clockwise from the top left, pixel centers are whole."""
+
+
+@dataclass(frozen=True, eq=False)
+class TagDetectionsRecord(Record):
+    """Tags that another node has found in an image, shape (T,) of `TAG`."""
+
+    tags: NDArray[np.void]
+
+
+_GIVEN_SIGMA = 0.1  # [px] of a corner by AprilTag 3 on rendered boards: 0.04 to 0.09 were measured
+_LEAST_MARGIN = 7.5  # [gray levels], half of the contrast that is asked of a tag found here
+_MOST_WAITING = 100  # records that wait for their view
+
+
+def believed_tags(
+    tags: NDArray[np.void], shape: tuple[int, ...], on_drop: Callable[[str, str], object]
+) -> NDArray[np.void]:
+    """Those of the tags that are decoded for certain and can be where they are said to be.
+
+    Args:
+        tags: that another node has found, shape (T,) of `TAG`.
+        shape: rows and columns of the image.
+        on_drop: called with the reason and the name of each tag that is left out.
+    """
+    names = [f"{tag['family']}:{tag['id']}" for tag in tags]
+    counts = Counter(names)
+    families = {*tags["family"].tolist()} & FAMILIES.keys()
+    known = {family: len(dictionary(family).bytesList) for family in families}
+    corners = tags["corners"]
+    edges = np.roll(corners, -1, axis=1) - corners
+    after = np.roll(edges, -1, axis=1)
+    turns = edges[..., 0] * after[..., 1] - edges[..., 1] * after[..., 0]
+    beyond = (corners < -0.5) | (corners > np.array(shape[1::-1]) - 0.5)
+    faults = {
+        "tag of an unknown family or id": [t["id"] >= known.get(t["family"], 0) for t in tags],
+        "tag with wrong bits": tags["hamming"] > 0,
+        "tag of low decision margin": tags["margin"] < _LEAST_MARGIN,
+        "tag twice in an image": [counts[name] > 1 for name in names],
+        "tag with corners in another order": (turns <= 0.0).any(axis=1),
+        "tag too small": np.linalg.norm(edges, axis=2).min(axis=1) < _MIN_SIDE,
+        "tag beyond the image": beyond.any(axis=(1, 2)),
+    }
+    good = np.ones(len(tags), dtype=bool)
+    for reason, bad in faults.items():
+        for number in np.flatnonzero(good & np.array(bad, dtype=bool)):
+            on_drop(reason, names[number])
+            good[number] = False
+    return tags[good]
+
+
+class TagPairing:
+    """Holds views until the tags that another node finds in their images have come.
+
+    A view goes on without tags when those of a later one are there, or after `waiting`. From then
+    on none waits until something comes again, so that a detector that has ended costs its tags
+    only.
+
+    Args:
+        waiting: how long views wait, and how many.
+        tolerance: largest difference of the stamps [s].
+        on_drop: called with the reason, and more of it, for each record that is not used.
+
+    Attributes:
+        frame_id: of the images, empty while it is not known.
+    """
+
+    def __init__(
+        self, waiting: WaitingQueueConfig, tolerance: float, on_drop: Callable[[str, str], object]
+    ) -> None:
+        self._waiting, self._on_drop = waiting, on_drop
+        self._tolerance, self._longest = (round(1e9 * s) for s in (tolerance, waiting.max_wait))
+        self.frame_id = ""
+        self.clear()
+
+    def clear(self) -> None:
+        """Forget what waits, as when the clock has jumped."""
+        self._given: dict[int, NDArray[np.void]] = {}
+        self._held: deque[Any] = deque()
+        self._gone = -(2**62)  # stamp of the last view that has gone on [ns]
+        self._is_alive = True
+
+    def add(self, detections: TagDetectionsRecord) -> None:
+        """Take what was found in an image."""
+        self._is_alive = True
+        if self.frame_id and detections.frame_id != self.frame_id:
+            text = f"tags in frame '{detections.frame_id}', images in '{self.frame_id}'"
+            self._on_drop("wrong frame", text)
+        elif detections.stamp <= self._gone:
+            self._on_drop(
+                "tags after their image", f"{1e-9 * (self._gone - detections.stamp):.3f} s"
+            )
+        else:
+            self._given[detections.stamp] = detections.tags
+            if len(self._given) > _MOST_WAITING:
+                self._forget(next(iter(self._given)))
+
+    def take(self, views: Sequence[Any]) -> Iterator[tuple[Any, NDArray[np.void]]]:
+        """Add views, which have a stamp [ns], in order of time; gives those that can go on by now.
+
+        Each with its tags, shape (T,) of `TAG`.
+        """
+        self._held.extend(views)
+        while self._held and not self._is_awaited(self._held[0].stamp):
+            view = self._held.popleft()
+            self._gone = view.stamp
+            nearest = min(self._given, key=lambda one: abs(one - view.stamp), default=2**62)
+            is_near = abs(nearest - view.stamp) <= self._tolerance
+            yield view, self._given.pop(nearest) if is_near else np.zeros(0, TAG)
+            for stamp in [one for one in self._given if one <= view.stamp]:
+                self._forget(stamp)
+
+    def _is_awaited(self, stamp: int) -> bool:
+        """Whether the tags of the oldest view that is held may still come."""
+        late = stamp + self._longest
+        if any(stamp - self._tolerance <= one <= late for one in self._given):
+            return False
+        too_late = not stamp <= self._held[-1].stamp <= late
+        self._is_alive &= not (too_late or len(self._held) > self._waiting.capacity)
+        return self._is_alive
+
+    def _forget(self, stamp: int) -> None:
+        del self._given[stamp]
+        self._on_drop("tags without their image", f"at {stamp} ns")
 
 
 _OUTLINE, _FIRST_CORNER = (0, 200, 0), (0, 0, 255)  # BGR

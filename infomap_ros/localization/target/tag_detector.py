@@ -17,7 +17,7 @@ from infomap_ros.geometry import PinholeCamera, transform_points
 from infomap_ros.geometry.config import check_config
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.localization.target.tag_board import TagBoard, TagBoardConfig
-from infomap_ros.localization.target.tag_detection import TagDetectionConfig, TagFinder, Tags
+from infomap_ros.localization.target.tag_detection import TagFinder, Tags
 from infomap_ros.localization.target.tag_pose import (
     KnownPoints,
     KnownRanges,
@@ -46,7 +46,6 @@ class TagTargetConfig:
     """
 
     board: TagBoardConfig = field(default_factory=TagBoardConfig)
-    detection: TagDetectionConfig = field(default_factory=TagDetectionConfig)
     range_scale_sigma: ClassVar[float] = 0.02
     """Standard deviation of the ratio between measured range and the range that the tags' size
     tells: errors of baseline and print.
@@ -77,15 +76,15 @@ class TagTargetDetector:
     def __init__(self, config: TagTargetConfig | None = None) -> None:
         self.config = config or TagTargetConfig()
         self.board = TagBoard(self.config.board)
-        self._finder = TagFinder(self.config.board.family, self.config.detection)
+        self._finder = TagFinder(self.config.board.family)
 
     def detect(self, view: RangeView) -> TargetSighting | TargetRefusal:
         """Find the board, or say why not."""
-        return self.locate(self.find(view.image), view)
+        return self.locate(self.find(view), view)
 
-    def find(self, image: NDArray[np.uint8]) -> Tags:
-        """The board's tags in a gray image, shape (H, W)."""
-        return own_tags(self._finder.find(image), self.board)
+    def find(self, view: RangeView) -> Tags:
+        """The board's tags in a view."""
+        return own_tags(self._finder.look(view), self.board)
 
     def locate(self, tags: Tags, view: RangeView) -> TargetSighting | TargetRefusal:
         """Work out the board's pose from tags that were found before.

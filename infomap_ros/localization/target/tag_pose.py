@@ -257,7 +257,7 @@ def _fit(
 
 
 def _scale_variance(information: FloatArray, prior_sigma: float) -> float:
-    """Variance of the scale from the measurements alone; infinite where they do not tell it."""
-    told = information[6, 6] - prior_sigma**-2
-    told -= information[6, :6] @ np.linalg.solve(information[:6, :6], information[:6, 6])
-    return float(1.0 / told) if told > 1e-12 else np.inf
+    """Variance of the scale from the measurements alone; infinite where they do not fix it."""
+    measured = information[6, 6] - prior_sigma**-2
+    measured -= information[6, :6] @ np.linalg.solve(information[:6, :6], information[:6, 6])
+    return float(1.0 / measured) if measured > 1e-12 else np.inf

@@ -236,8 +236,7 @@ class RobotTagFinder:
         ids = [tag for one in self._detectors.values() for tag in one.board.ids]
         if len(set(ids)) < len(ids):
             raise ConfigError("ids", sorted(ids), "each tag on one robot only")
-        first = robots[0].tags.detection if robots else None
-        self._finder = TagFinder(families.pop(), first) if families else None
+        self._finder = TagFinder(families.pop()) if families else None
 
     def find(
         self, view: RangeView, T_base_camera: ArrayLike, covariance: ArrayLike | None = None
@@ -259,7 +258,7 @@ class RobotTagFinder:
         spread = np.zeros((6, 6)) if covariance is None else check_covariance(covariance, 6)
         if self._finder is None:
             return [], {}
-        tags = self._finder.find(view.image)
+        tags = self._finder.look(view)
         found, refused = [], {}
         for robot, detector in self._detectors.items():
             own = own_tags(tags, detector.board)
@@ -322,12 +321,6 @@ class TeamTagsConfig:
     side: float = parameter(
         0.16, "Edge of the black square of one tag.", unit="m", low=0.005, high=5.0
     )
-    period: float = setting(
-        0.5, "Shortest time between two looks for teammates.", unit="s", low=0.0, high=60.0
-    )
-    sightings: int = setting(
-        4, "So many sightings of a teammate must agree before a map is moved.", low=1, high=100
-    )
 
     def __post_init__(self) -> None:
         check_config(self)
@@ -363,22 +356,27 @@ class TeamAlignment:
         sightings: that must agree.
 
     Attributes:
-        problem: why the last sightings told nothing; empty where they did.
+        problem: why the last sightings gave nothing; empty where they did.
     """
 
     def __init__(self, sightings: int) -> None:
         self._wanted, self.problem = sightings, ""
-        self._heard: list[Alignment] = []
+        self._recent: list[Alignment] = []
 
     def clear(self) -> None:
         """Forget all sightings, as when a map was moved."""
-        self._heard.clear()
+        self._recent.clear()
 
-    def add(self, T_theirs_mine: Alignment) -> Alignment | None:
-        """Learn from one sighting; one whose covariance is singular tells nothing.
+    def add(self, T_theirs_mine: Alignment, is_one_frame: bool = True) -> Alignment | None:
+        """Learn from one sighting; one whose covariance is singular gives nothing.
 
         Repeated sightings share errors, those of the two robots' own poses. So they are no surer
         together than the surest of them.
+
+        Args:
+            T_theirs_mine: what it says.
+            is_one_frame: whether the maps are said to be in one frame; else they are not the same,
+                however near they are.
 
         Returns:
             ``T_theirs_mine`` when the maps are not the same and enough sightings agree on it.
@@ -387,14 +385,15 @@ class TeamAlignment:
             self.problem = "a sighting without an error in some direction"
             return None
         self.problem = ""
-        self._heard = [*self._heard[1 - self._wanted :], T_theirs_mine][-self._wanted :]
-        if len(self._heard) < self._wanted:
+        self._recent = [*self._recent[1 - self._wanted :], T_theirs_mine][-self._wanted :]
+        if len(self._recent) < self._wanted:
             return None
-        fused = fuse_alignments(self._heard)
+        fused = fuse_alignments(self._recent)
         self.problem = "" if fused.is_consistent else "sightings contradict each other"
         if not fused.is_consistent:
             return None
-        agreeing = [one for one, fits in zip(self._heard, fused.agreeing, strict=True) if fits]
+        agreeing = [one for one, fits in zip(self._recent, fused.agreeing, strict=True) if fits]
         surest = min(agreeing, key=lambda one: float(np.linalg.slogdet(one.covariance)[1]))
         found = Alignment(fused.alignment.T_a_b, surest.covariance)
-        return found if squared_distance(found, _EXACT) > CONTRADICTION else None
+        is_same = is_one_frame and squared_distance(found, _EXACT) <= CONTRADICTION
+        return None if is_same else found

@@ -11,6 +11,15 @@ from infomap_ros.localization.filter.fiducial_filter import FiducialFilter
 from infomap_ros.localization.localizer_config import LocalizerConfig
 from infomap_ros.localization.target.target import TargetDetector, TargetSighting
 
+_INTERVAL = 1.0  # between two looks for the target while tracking [s]
+# Sightings of the target in a row that contradict the pose, after which the target is believed and
+# all else forgotten.
+_CONTRADICTIONS = 3
+_KEYFRAME_DISTANCE = 0.15  # after which a pose is kept [m]
+_KEYFRAME_ANGLE = 0.17  # likewise [rad]
+MAX_ROTATION_SIGMA = 0.15
+"""The camera is lost when its rotation has a larger standard deviation about some axis [rad]."""
+
 
 class TargetWatch:
     """Corrects a filter by sightings of the target.
@@ -20,12 +29,11 @@ class TargetWatch:
 
     Args:
         detector: of the target; None where there is none.
-        config: how often it is looked for.
     """
 
-    def __init__(self, detector: TargetDetector | None, config: LocalizerConfig) -> None:
+    def __init__(self, detector: TargetDetector | None) -> None:
         self.reason = ""
-        self._detector, self._config = detector, config
+        self._detector = detector
         self.clear()
 
     def clear(self) -> None:
@@ -50,9 +58,9 @@ class TargetWatch:
         return None
 
     def correct(self, view: RangeView, pose_filter: FiducialFilter, tracking: bool) -> str:
-        """Correct the pose where there is news of the target.
+        """Correct the pose where the target is seen anew.
 
-        A camera that stands still sees the target with the same errors again, so that is no news.
+        A camera that stands still sees the target with the same errors again, so that is not new.
 
         Args:
             view: the last one.
@@ -65,36 +73,36 @@ class TargetWatch:
         """
         self.reason = ""
         since = 1e-9 * (view.stamp - self._looked)
-        if not self.exists or (tracking and since < self._config.target_interval):
+        if not self.exists or (tracking and since < _INTERVAL):
             return ""
         self._looked = view.stamp
         sighting = self.sight(view)
         if sighting is None:
             return ""
         pose, covariance = sighting.camera_pose()
-        if tracking and not self._is_news(pose):
+        if tracking and not self._is_new(pose):
             return ""
         if pose_filter.observe_pose(pose, covariance):
             self._last, self._contradictions = pose, 0
             return "corrected"
         self.reason = "target: seen where it cannot be"
         self._contradictions += 1
-        return "contradicted" if self._contradictions >= self._config.contradictions else ""
+        return "contradicted" if self._contradictions >= _CONTRADICTIONS else ""
 
-    def _is_news(self, pose: FloatArray) -> bool:
-        return self._last is None or moved(self._last, pose, self._config)
+    def _is_new(self, pose: FloatArray) -> bool:
+        return self._last is None or moved(self._last, pose)
 
 
-def moved(before: FloatArray, after: FloatArray, config: LocalizerConfig) -> bool:
+def moved(before: FloatArray, after: FloatArray) -> bool:
     """Whether two poses, shape (4, 4), are as far apart as two keyframes."""
-    way = float(np.linalg.norm(after[:3, 3] - before[:3, 3]))
+    distance = float(np.linalg.norm(after[:3, 3] - before[:3, 3]))
     turn = float(Rotation.from_matrix(before[:3, :3].T @ after[:3, :3]).magnitude())
-    return way > config.keyframe_distance or turn > config.keyframe_angle
+    return distance > _KEYFRAME_DISTANCE or turn > _KEYFRAME_ANGLE
 
 
 def is_certain(covariance: FloatArray, config: LocalizerConfig) -> bool:
     """Whether a pose with this covariance, shape (6, 6), may be believed."""
     position = float(np.linalg.eigvalsh(covariance[:3, :3])[-1])
     rotation = float(np.linalg.eigvalsh(covariance[3:, 3:])[-1])
-    limits = config.max_position_sigma, config.max_rotation_sigma
+    limits = config.max_position_sigma, MAX_ROTATION_SIGMA
     return position <= limits[0] ** 2 and rotation <= limits[1] ** 2

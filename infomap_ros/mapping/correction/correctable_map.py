@@ -24,18 +24,22 @@ from infomap_ros.geometry.pose_uncertainty import positive_part
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping.correction.reintegration import (
     Reintegration,
-    ReintegrationConfig,
     ReintegrationReport,
     moved_scans,
 )
-from infomap_ros.mapping.correction.scan_store import ScanStore, ScanStoreConfig, forget_body
+from infomap_ros.mapping.correction.scan_store import (
+    ScanKey,
+    ScanStore,
+    ScanStoreConfig,
+    forget_body,
+)
 from infomap_ros.mapping.scans.body import BodyFilterConfig
 from infomap_ros.mapping.scans.integration import IntegrationReport
 from infomap_ros.mapping.voxel_map import VoxelMap
 
 
 class CorrectableMap:
-    """Integrates scans, hears of corrected poses, and corrects the map a little at a time.
+    """Integrates scans, receives corrected poses, and corrects the map a little at a time.
 
     Args:
         voxel_map: what it holds already stays where it is.
@@ -47,19 +51,13 @@ class CorrectableMap:
         store: its scans.
     """
 
-    def __init__(
-        self,
-        voxel_map: VoxelMap,
-        store: ScanStoreConfig | None = None,
-        config: ReintegrationConfig | None = None,
-    ) -> None:
+    def __init__(self, voxel_map: VoxelMap, store: ScanStoreConfig | None = None) -> None:
         self.voxel_map = voxel_map
         kept = store or ScanStoreConfig()
         base = voxel_map if kept.memory and voxel_map.known_voxels else None
         self.store = ScanStore(voxel_map.config, kept, base)
-        self._config = config or ReintegrationConfig()
         self._corrections, self._covariances = PoseCorrections(), KeyframeCovariances()
-        self._came: dict[int, FloatArray | None] = {}  # covariances of poses as they came
+        self._came: dict[ScanKey, FloatArray | None] = {}  # covariances of poses as they came
         self._work: Reintegration | None = None
 
     @property
@@ -80,29 +78,30 @@ class CorrectableMap:
         pose_covariance: ArrayLike | PoseUncertainty | None = None,
         camera: PinholeCamera | None = None,
         error_correlation: float | None = None,
+        sensor: str = "",
     ) -> IntegrationReport:
-        """Add a scan as `VoxelMap.integrate` does.
+        """Add a scan as `VoxelMap.integrate` does; of a `sensor` as `KeptScan` names it.
 
         Raises:
             InvalidInputError: as there.
             CapacityError: as there.
         """
         arguments = (points, T_map_sensor, covariances, pose_covariance, camera, error_correlation)
-        report = self.store.integrate(self.voxel_map, stamp, *arguments)
+        report = self.store.integrate(self.voxel_map, stamp, *arguments, sensor)
         if self.store.config.memory:
-            self._corrections.add(stamp, check_transform(T_map_sensor))
-            self._came[stamp] = _covariance(pose_covariance)
+            self._corrections.add(stamp, check_transform(T_map_sensor), sensor)
+            self._came[stamp, sensor] = _covariance(pose_covariance)
         self._freeze()
         return report
 
-    def hear(
+    def receive_poses(
         self,
         as_of: int,
         stamps: ArrayLike,
         transforms: ArrayLike,
         covariances: ArrayLike | None = None,
     ) -> None:
-        """Hear of corrected poses; see `PoseCorrections.hear`.
+        """Take corrected poses; see `PoseCorrections.receive_poses`.
 
         Args:
             as_of: the moment whose image was used last for them [ns].
@@ -114,8 +113,8 @@ class CorrectableMap:
             InvalidInputError: a pose or a covariance is none, or the stamps do not fit.
         """
         if covariances is not None:
-            self._covariances.hear(as_of, stamps, transforms, covariances)
-        self._corrections.hear(as_of, stamps, transforms)
+            self._covariances.receive_poses(as_of, stamps, transforms, covariances)
+        self._corrections.receive_poses(as_of, stamps, transforms)
 
     def forget_body(
         self,
@@ -145,7 +144,7 @@ class CorrectableMap:
     def begin_correction(self) -> bool:
         """Begin to correct the map where scans belong elsewhere by now; whether there are any."""
         if self._work is None:
-            moved = moved_scans(self.store, self._poses(), self.voxel_map, self._config)
+            moved = moved_scans(self.store, self._poses(), self.voxel_map)
             if moved:
                 self._work = Reintegration(self.voxel_map, self.store, moved)
         return self._work is not None
@@ -182,19 +181,19 @@ class CorrectableMap:
                 report = self.correct_more()
         return report
 
-    def _poses(self) -> dict[int, tuple[FloatArray, FloatArray | None]]:
-        """Where the scans belong by now, and how well that is known, by stamp."""
+    def _poses(self) -> dict[ScanKey, tuple[FloatArray, FloatArray | None]]:
+        """Where the scans belong by now, and how well that is known."""
         known = self._covariances
         return {
-            stamp: (pose, known.of_scan(stamp, pose, self._came.get(stamp)))
-            for stamp, (pose, _) in self._corrections.poses.items()
+            key: (pose, known.of_scan(key[0], pose, self._came.get(key)))
+            for key, (pose, _) in self._corrections.poses.items()
         }
 
     def _freeze(self) -> None:
         """Give up scans beyond the memory, but not while the map is being corrected."""
         if self._work is None and self.store.freeze_excess():
-            self._corrections.keep_only(scan.stamp for scan in self.store)
-            self._came = {scan.stamp: self._came.get(scan.stamp) for scan in self.store}
+            self._corrections.keep_only(scan.key for scan in self.store)
+            self._came = {scan.key: self._came.get(scan.key) for scan in self.store}
 
 
 def _covariance(given: ArrayLike | PoseUncertainty | None) -> FloatArray | None:
@@ -206,16 +205,16 @@ def _covariance(given: ArrayLike | PoseUncertainty | None) -> FloatArray | None:
 
 
 # The pose of a scan is that of the keyframe before it and a short way on. What the correction
-# tells of the keyframe it tells of the scan; the short way is as uncertain as it was:
+# tells of the keyframe it tells of the scan; the short motion is as uncertain as it was:
 #
 #     C_scan = A C_keyframe,now A^T + max(C_scan,then - A C_keyframe,then A^T, 0)
 #
 # A carries an error of the keyframe's pose to the place of the scan, the maximum is that of the
-# eigenvalues, and "then" is when the keyframe was first heard of.
+# eigenvalues, and "then" is when the keyframe was first received.
 
 
 class KeyframeCovariances:
-    """Keeps what was first and what was last heard of each keyframe."""
+    """Keeps the first and the last received pose of each keyframe."""
 
     def __init__(self) -> None:
         self._as_of = -(2**62)
@@ -223,10 +222,10 @@ class KeyframeCovariances:
         self._stamps: NDArray[np.int64] = np.zeros(0, np.int64)
         self._places, self._now = np.zeros((0, 3)), np.zeros((0, 6, 6))
 
-    def hear(
+    def receive_poses(
         self, as_of: int, stamps: ArrayLike, transforms: ArrayLike, covariances: ArrayLike
     ) -> None:
-        """Poses of keyframes with their covariances; see `PoseCorrections.hear`.
+        """Poses of keyframes with their covariances; see `PoseCorrections.receive_poses`.
 
         Args:
             as_of: the moment whose image was used last for them [ns].
@@ -263,7 +262,7 @@ class KeyframeCovariances:
             before: covariance of its pose as it came, shape (6, 6).
 
         Returns:
-            None, for the one it had, where that is unknown or nothing was heard.
+            None, for the one it had, where that is unknown or nothing was received.
         """
         if before is None or not len(self._stamps):
             return None
@@ -276,13 +275,14 @@ class KeyframeCovariances:
 # Localization corrects the poses of keyframes; scans are taken at other moments too. Between two
 # keyframes a scan is tied to the one before it: it moves as that one does, and what was measured
 # between the two stays as it was. A keyframe that localization no longer keeps moves as the
-# nearest one before it that it keeps, or else the first one after it.
+# nearest one before it that it keeps, or else the first one after it. So do scans of the robot's
+# other sensors: the motion is one in the frame of the map.
 
 _HISTORY = 50
 
 
 class _Keyframes(NamedTuple):
-    """What was heard: poses of keyframes, and the moment at which they were so."""
+    """What was received: poses of keyframes, and the moment at which they were so."""
 
     as_of: int
     stamps: NDArray[np.int64]
@@ -297,10 +297,11 @@ class _Correction(NamedTuple):
     motions: FloatArray
     transforms: FloatArray
 
-    def apply(self, stamp: int, transform: FloatArray) -> FloatArray:
+    def apply(self, key: ScanKey, transform: FloatArray) -> FloatArray:
         """The pose of a scan that was taken before the correction, after it."""
+        stamp, sensor = key
         place = int(np.searchsorted(self.stamps, stamp, side="right")) - 1
-        if place >= 0 and self.stamps[place] == stamp:
+        if place >= 0 and self.stamps[place] == stamp and not sensor:
             return self.transforms[place]
         return np.asarray(self.motions[max(place, 0)] @ transform)
 
@@ -309,37 +310,39 @@ class PoseCorrections:
     """Keeps poses of scans up to date with the poses of keyframes."""
 
     def __init__(self) -> None:
-        self._heard: _Keyframes | None = None
+        self._latest: _Keyframes | None = None
         self._history: deque[_Correction] = deque(maxlen=_HISTORY)
-        self._poses: dict[int, FloatArray] = {}
+        self._poses: dict[ScanKey, FloatArray] = {}
 
     @property
-    def poses(self) -> dict[int, tuple[FloatArray, None]]:
-        """T_map_sensor of each scan by its stamp, as `moved_scans` takes it."""
-        return {stamp: (transform, None) for stamp, transform in self._poses.items()}
+    def poses(self) -> dict[ScanKey, tuple[FloatArray, None]]:
+        """T_map_sensor of each scan, as `moved_scans` takes it."""
+        return {key: (transform, None) for key, transform in self._poses.items()}
 
-    def add(self, stamp: int, transform: FloatArray) -> None:
-        """A scan, with the pose that was told for its stamp.
+    def add(self, stamp: int, transform: FloatArray, sensor: str = "") -> None:
+        """A scan, with the pose that was given for its stamp.
 
-        The pose is from before the corrections of later moments that were heard already.
+        The pose is from before the corrections of later moments that were received already.
 
         Args:
             stamp: of the scan [ns].
             transform: T_map_sensor, shape (4, 4).
+            sensor: as of `KeptScan`.
         """
+        key = stamp, sensor
         for correction in self._history:
             if correction.as_of > stamp:
-                transform = correction.apply(stamp, transform)
-        self._poses[stamp] = transform
+                transform = correction.apply(key, transform)
+        self._poses[key] = transform
 
-    def keep_only(self, stamps: Iterable[int]) -> None:
+    def keep_only(self, keys: Iterable[ScanKey]) -> None:
         """Forget all scans but these."""
-        self._poses = {stamp: self._poses[stamp] for stamp in stamps if stamp in self._poses}
+        self._poses = {key: self._poses[key] for key in keys if key in self._poses}
 
-    def hear(self, as_of: int, stamps: ArrayLike, transforms: ArrayLike) -> None:
+    def receive_poses(self, as_of: int, stamps: ArrayLike, transforms: ArrayLike) -> None:
         """Poses of keyframes.
 
-        When `as_of` goes backwards (a bag starts again), what was heard before is of no use any
+        When `as_of` goes backwards (a bag starts again), what was received before is of no use any
         more; scans stay where they are.
 
         Args:
@@ -355,22 +358,22 @@ class PoseCorrections:
         if moments.shape != (len(poses),):
             raise InvalidInputError("keyframe stamps", f"shape {moments.shape}, {len(poses)} poses")
         order = np.argsort(moments, kind="stable")
-        heard = _Keyframes(as_of, moments[order], poses[order])
-        before, self._heard = self._heard, heard
+        latest = _Keyframes(as_of, moments[order], poses[order])
+        before, self._latest = self._latest, latest
         if before is None:
             return
         if as_of < before.as_of:
             self._history.clear()
             return
-        correction = _correction(before, heard)
+        correction = _correction(before, latest)
         if correction is not None:
             self._correct(correction)
 
     def _correct(self, correction: _Correction) -> None:
         self._history.append(correction)
-        for stamp, transform in self._poses.items():
-            if stamp < correction.as_of:
-                self._poses[stamp] = correction.apply(stamp, transform)
+        for key, transform in self._poses.items():
+            if key[0] < correction.as_of:
+                self._poses[key] = correction.apply(key, transform)
 
 
 def _correction(before: _Keyframes, after: _Keyframes) -> _Correction | None:

@@ -20,36 +20,22 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from infomap_ros.geometry import check_covariance, check_transforms
-from infomap_ros.geometry.config import check_config, setting
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.mapping.correction.scan_store import KeptScan, ScanStore, integrate_record
+from infomap_ros.mapping.correction.scan_store import (
+    KeptScan,
+    ScanKey,
+    ScanStore,
+    integrate_record,
+)
 from infomap_ros.mapping.scans.view_volume import ViewVolume, mark_blocks, touches_any, view_volume
 from infomap_ros.mapping.voxel_map import VoxelMap
 from infomap_ros.mapping.voxels.block_exchange import exchange_blocks
 from infomap_ros.mapping.voxels.keys import BLOCK_COUNT
 
+# Scans follow a corrected pose when their points move by more than this [voxels].
+_MIN_CORRECTION = 0.5
 ScanPose = tuple[FloatArray, FloatArray | None]
 """T_map_sensor, shape (4, 4), and its covariance, shape (6, 6), or None for the one there was."""
-
-
-@dataclass(frozen=True)
-class ReintegrationConfig:
-    """When scans follow their corrected poses.
-
-    Raises:
-        ConfigError: a value is out of its range.
-    """
-
-    min_correction: float = setting(
-        0.5,
-        "Scans follow a corrected pose when their points move by more than this; 0: always.",
-        unit="voxels",
-        low=0.0,
-        high=100.0,
-    )
-
-    def __post_init__(self) -> None:
-        check_config(self)
 
 
 @dataclass(frozen=True)
@@ -91,30 +77,28 @@ def corrections(scans: Sequence[KeptScan], transforms: FloatArray, max_range: fl
 
 def moved_scans(
     store: ScanStore,
-    new_poses: Mapping[int, tuple[ArrayLike, ArrayLike | None]],
+    new_poses: Mapping[ScanKey, tuple[ArrayLike, ArrayLike | None]],
     voxel_map: VoxelMap,
-    config: ReintegrationConfig | None = None,
 ) -> dict[int, ScanPose]:
     """The new poses of the scans that move far enough, by number of the scan.
 
     Args:
         store: the scans.
-        new_poses: T_map_sensor and covariance, or None for the one there was, by stamp.
+        new_poses: T_map_sensor and covariance, or None for the one there was, by `KeptScan.key`.
         voxel_map: that the scans are in.
-        config: how far is far enough.
 
     Raises:
         InvalidInputError: a pose or a covariance is none.
     """
-    least = (config or ReintegrationConfig()).min_correction * voxel_map.config.voxel_size
-    scans = [scan for scan in store if scan.stamp in new_poses]
+    least = _MIN_CORRECTION * voxel_map.config.voxel_size
+    scans = [scan for scan in store if scan.key in new_poses]
     if not scans:
         return {}
-    transforms = check_transforms(np.array([new_poses[s.stamp][0] for s in scans]), "new poses")
+    transforms = check_transforms(np.array([new_poses[s.key][0] for s in scans]), "new poses")
     far = corrections(scans, transforms, voxel_map.config.max_range) > least
     moved: dict[int, ScanPose] = {}
     for place in np.flatnonzero(far).tolist():
-        covariance = new_poses[scans[place].stamp][1]
+        covariance = new_poses[scans[place].key][1]
         if covariance is not None:
             covariance = check_covariance(covariance, 6, "covariance of a new pose")
         moved[scans[place].number] = transforms[place], covariance

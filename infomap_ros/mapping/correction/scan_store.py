@@ -139,6 +139,10 @@ class ScanStoreConfig:
         check_config(self)
 
 
+ScanKey = tuple[int, str]
+"""Stamp [ns] and sensor of a scan: two sensors may measure at the same moment."""
+
+
 @dataclass(frozen=True, eq=False)
 class KeptScan:
     """A scan with the pose by which it is in the map.
@@ -149,6 +153,7 @@ class KeptScan:
         record: the scan.
         transform: T_map_sensor, shape (4, 4).
         uncertainty: of the pose, or None where unknown.
+        sensor: frame that took it; empty for the camera of which localization gives the pose.
     """
 
     number: int
@@ -156,6 +161,12 @@ class KeptScan:
     record: ScanRecord
     transform: FloatArray
     uncertainty: PoseUncertainty | None
+    sensor: str = ""
+
+    @property
+    def key(self) -> ScanKey:
+        """Which scan it is for who corrects poses."""
+        return self.stamp, self.sensor
 
     def uncertainty_of(self, covariance: FloatArray | None) -> PoseUncertainty | None:
         """That of its pose when the pose's covariance has become another; None: it has not."""
@@ -230,8 +241,9 @@ class ScanStore:
         pose_covariance: ArrayLike | PoseUncertainty | None = None,
         camera: PinholeCamera | None = None,
         error_correlation: float | None = None,
+        sensor: str = "",
     ) -> IntegrationReport:
-        """Add a scan to a map as `VoxelMap.integrate` does, and keep it.
+        """Add a scan of a `sensor` to a map as `VoxelMap.integrate` does, and keep it.
 
         The map gets what is kept, so that it can be made again to the bit.
 
@@ -246,7 +258,7 @@ class ScanStore:
         record = keep_scan(points, covariances, camera, error_correlation)
         uncertainty = voxel_map.pose_uncertainty(pose_covariance, T_map_sensor)
         report = integrate_record(voxel_map, record, T_map_sensor, uncertainty)
-        self.add(stamp, record, T_map_sensor, uncertainty)
+        self.add(stamp, record, T_map_sensor, uncertainty, sensor)
         return report
 
     def add(
@@ -255,14 +267,15 @@ class ScanStore:
         record: ScanRecord,
         T_map_sensor: ArrayLike,
         uncertainty: PoseUncertainty | None = None,
+        sensor: str = "",
     ) -> None:
-        """Keep a scan that was integrated from `record`.
+        """Keep a scan of a `sensor` that was integrated from `record`.
 
         Raises:
             InvalidInputError: the pose is none.
         """
         transform = check_transform(T_map_sensor, "T_map_sensor")
-        scan = KeptScan(self._number, stamp, record, transform, uncertainty)
+        scan = KeptScan(self._number, stamp, record, transform, uncertainty, sensor)
         self._scans[self._number] = scan
         self._number += 1
         self._bytes += record.memory_bytes()

@@ -18,9 +18,11 @@ from numpy.typing import NDArray
 from infomap_ros.errors import ConfigError, InvalidInputError
 from infomap_ros.geometry.atomic_file import replacing, write_text
 from infomap_ros.geometry.config import check_config, parameter, setting
+from infomap_ros.mapping import ray_casting
 from infomap_ros.mapping.config import LOG_ODDS_QUANTUM
-from infomap_ros.mapping.distance_field import distance_field
+from infomap_ros.mapping.distance_field import distance_field, field_of_blocked
 from infomap_ros.mapping.voxel_map import VoxelMap
+from infomap_ros.mapping.voxels import window as voxel_window
 from infomap_ros.mapping.voxels.block_kernels import quanta_of
 from infomap_ros.mapping.voxels.keys import BLOCK_COUNT, BLOCK_SIDE, local_index, pack_all, unpack
 
@@ -136,6 +138,119 @@ def _project(
                         highest[y + row, x + column] = quanta
 
 
+@dataclass(frozen=True)
+class DistanceConfig:
+    """Which obstacles `obstacle_distances` measures to, and how far.
+
+    Raises:
+        ConfigError: a value is out of its range.
+    """
+
+    limit: float = setting(
+        2.0, "Distances to obstacles are cut off here.", unit="m", low=0.01, high=1000.0
+    )
+    margin: float = parameter(
+        0.0,
+        "Surfaces are as wide as so many of their standard deviations to both sides for "
+        "distance_field and distance_slice: 2 or 3 for a planner that keeps no margin itself.",
+        low=0.0,
+        high=10.0,
+    )
+    unknown_is_free: bool = setting(
+        True,
+        "Only what is occupied is an obstacle. Else what is uncertain or was never observed is "
+        "one too, as in the file of distances that infomap export writes.",
+    )
+
+    def __post_init__(self) -> None:
+        check_config(self)
+
+
+def obstacle_distances(
+    voxel_map: VoxelMap, config: DistanceConfig | None = None, band: ProjectionConfig | None = None
+) -> NDArray[np.float32]:
+    """Distance to the nearest obstacle, for each voxel that was observed.
+
+    Distances are from the centers of voxels to the nearest obstacle's cube, 0 in an obstacle. Holes
+    in free space and the voxels right before a surface count as `VoxelWindow.states` says.
+
+    Args:
+        voxel_map: the map.
+        config: which voxels are obstacles. Standard deviations are without the error that the
+            whole map shares, as a robot that is located in the map shares it too.
+        band: the map is seen from above: a column is an obstacle if one of its voxels with their
+            centers in the band is, and known if one is. Thresholds are those of `config`.
+
+    Returns:
+        Rows of x, y, z [m, map] of a voxel's center, of a column at half the height of the band,
+        and the distance [m], shape (K, 4).
+
+    Raises:
+        InvalidInputError: the map is too large for an array.
+    """
+    options, size = config or DistanceConfig(), voxel_map.config.voxel_size
+    bounds = voxel_map.bounds()
+    if bounds is None:
+        return np.zeros((0, 4), np.float32)
+    reach = _NEIGHBORHOOD * size
+    low, high = (bounds[0] + 0.25) * size - reach, (bounds[1] + 0.75) * size + reach
+    if band is not None:
+        low[2], high[2] = np.clip((band.low - reach, band.high + reach), low[2], high[2])
+    if np.prod((high - low) / size) > _MOST_DISTANCES:
+        raise InvalidInputError("map", f"is too large, it reaches {(high - low).tolist()} m")
+    window = voxel_map.window(low, high)
+    states = window.states()
+    known = states != voxel_window.UNKNOWN
+    lowest = voxel_window.OCCUPIED if options.unknown_is_free else voxel_window.UNCERTAIN
+    blocked = states >= lowest
+    if options.margin:
+        _, means, covariances = voxel_map.gaussians(relative=True)
+        sides = options.margin * _surface_reaches(covariances)
+        _fill_boxes(window.positions_of(means - sides), window.positions_of(means + sides), blocked)
+    if band is not None:
+        heights = (np.arange(states.shape[2]) + window.first[2] + 0.5) * size
+        inside = (heights >= band.low) & (heights <= band.high)
+        known = np.asarray(known[..., inside].any(axis=2, keepdims=True))
+        blocked = np.asarray(blocked[..., inside].any(axis=2, keepdims=True))
+    if not options.unknown_is_free:
+        blocked |= ~known
+    field = field_of_blocked(blocked, window.first, size, outside_is_free=True)
+    places = np.argwhere(known)
+    rows = np.empty((len(places), 4), np.float32)
+    rows[:, :3] = window.centers_of(places)
+    if band is not None:
+        rows[:, 2] = 0.5 * (band.low + band.high)
+    rows[:, 3] = np.minimum(field.distances[known], options.limit)
+    return rows
+
+
+_NEIGHBORHOOD = 3  # voxels, within which the state of one depends on others
+_MOST_DISTANCES = 1 << 27  # voxels, for which memory is some 2 GB
+
+
+def _surface_reaches(covariances: NDArray[np.float64]) -> NDArray[np.float64]:
+    """How far one standard deviation along the normal leads along x, y and z, shape (K, 3) [m].
+
+    A Gaussian that is not flat has no normal: its own standard deviations.
+    """
+    variances, axes = np.linalg.eigh(covariances)
+    reaches = np.abs(np.sqrt(variances[:, :1]) * axes[:, :, 0])
+    round_ones = variances[:, 0] > ray_casting.FLAT * variances[:, 1:].mean(axis=1)
+    reaches[round_ones] = np.sqrt(np.diagonal(covariances[round_ones], axis1=1, axis2=2))
+    return np.asarray(reaches)
+
+
+@njit(cache=True, nogil=True)
+def _fill_boxes(low: Any, high: Any, blocked: Any) -> None:
+    """Set the voxels of boxes, corners of shape (K, 3) inclusive, as far as they are there."""
+    nx, ny, nz = blocked.shape
+    for row in range(len(low)):
+        for i in range(max(low[row, 0], 0), min(high[row, 0] + 1, nx)):
+            for j in range(max(low[row, 1], 0), min(high[row, 1] + 1, ny)):
+                for k in range(max(low[row, 2], 0), min(high[row, 2] + 1, nz)):
+                    blocked[i, j, k] = True
+
+
 def _log_odds(probability: float) -> float:
     with np.errstate(divide="ignore"):
         return float(np.log(probability) - np.log1p(-probability))
@@ -172,14 +287,19 @@ def write_ply(voxel_map: VoxelMap, path: str | Path) -> int:
     Raises:
         OSError: the file cannot be written.
     """
-    vertices = surface_vertices(voxel_map)
+    comment = "position in m, frame map; sigma in m along the surface normal; color by height"
+    return write_vertices(surface_vertices(voxel_map), path, comment)
+
+
+def write_vertices(vertices: NDArray[np.void], path: str | Path, comment: str) -> int:
+    """Write records of `PLY_VERTEX`, shape (K,), as a binary PLY with a comment, as `write_ply`."""
     properties = [
         f"property {_PLY_TYPES[PLY_VERTEX[name].str]} {name}" for name in PLY_VERTEX.names or ()
     ]
     header = [
         "ply",
         "format binary_little_endian 1.0",
-        "comment position in m, frame map; sigma in m along the surface normal; color by height",
+        f"comment {comment}",
         f"element vertex {len(vertices)}",
         *properties,
         "end_header",

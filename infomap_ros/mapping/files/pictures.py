@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -23,13 +23,14 @@ _LARGEST_SIDE = 1600  # of a view [px]
 _HEADROOM = 2.0  # what lies higher above the floor may be a ceiling [m]
 _OVERHANG_SHARE = 0.1  # it is one when it hides more than this share of the columns
 LEAST_EVIDENCE = 0.3
-"""Voxels with less than this share of the median surface voxel's log-odds are not drawn."""
-_DARKEST = (
-    0.45  # brightness of a surface seen edge-on; one that faces the viewer has its bar's color
-)
+"""Voxels with less than this share of the median surface voxel's log-odds are not drawn,"""
+MOST_EVIDENCE = 8.0
+"""or of this, where the median has more."""
+_DARKEST = 0.45  # brightness of a surface seen edge-on; one seen from before has its bar's color
 _FLAT = 0.4  # a view that is lower than this share of its width has its color bar below
 _LONG = 0.35  # views that are lower than this share of their width lie one below the other
-_WIDTH, _BARS, _TITLES = 14.0, 2.2, 1.1  # of the sheet, its color bars, and titles of a row [in]
+_WIDTH, _HEIGHT, _LEAST_WIDTH = 10.8, 9.0, 6.3  # of the sheet without its color bars [in]
+_BARS, _TITLES = 3.2, 0.9  # of its color bars, and of the titles of a row [in]
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,20 +149,22 @@ def draw_map_views(
     top, side = _View(0, 1, 2, 1, f"top view{note}"), _open_side(voxel_map, surface.points)
     distance = -side.sign * surface.points[:, side.towards]
     distance -= distance.min()
-    heights, distances = _limits(surface.points[:, 2]), _limits(distance)
-    sigmas = LogNorm(*_sigma_limits(surface.sigmas))
-    figure, axes = _sheet(_aspect(below.points, top), _aspect(surface.points, side))
+    heights, distances = _limits(below.points[:, 2]), _limits(distance)
     cell = _cell(surface.points, size)
+    track = np.empty((0, 3)) if camera_path is None else camera_path
+    tall, flat = _aspect(below.points, track, top), _aspect(surface.points, track, side)
+    figure, axes = _sheet(tall, flat)
     _draw(axes[0], below, top, cell, below.points[:, 2], heights, "viridis", "z [m]")
     _draw(axes[1], surface, side, cell, distance, distances, "viridis_r", "distance [m]")
-    label = "sigma along the normal [m]"
-    _draw(axes[2], surface, side, cell, surface.sigmas, sigmas, "magma", label, shaded=False)
-    if camera_path is not None and len(camera_path):
-        for one, view in zip(axes[:2], (top, side), strict=True):
-            _draw_camera_path(one, camera_path[:, [view.across, view.up]])
-        axes[0].legend(loc="upper right", fontsize="small")
-    parts_of_title = [title] if title else []
-    figure.suptitle(", ".join([*parts_of_title, f"voxels of {100.0 * size:g} cm"]))
+    shown, higher = (below, top) if tall > flat else (surface, side)
+    values, higher = 1e3 * shown.sigmas, replace(higher, title="standard deviation")
+    sigmas = LogNorm(*_sigma_limits(values))
+    _draw(axes[2], shown, higher, cell, values, sigmas, "magma", "sigma [mm]", shaded=False)
+    if len(track):
+        for one, view in zip(axes, (top, side, higher), strict=True):
+            _draw_camera_path(one, track[:, [view.across, view.up]])
+        axes[0].legend(loc="best", fontsize="small")
+    figure.suptitle(", ".join(filter(None, [title, f"voxels of {100.0 * size:g} cm"])))
     save_figure(figure, path, 110)
 
 
@@ -170,28 +173,23 @@ def _sheet(tall: float, flat: float) -> tuple[Figure, tuple[Axes, Axes, Axes]]:
 
     Args:
         tall: height over width of the view from above.
-        flat: of the others.
+        flat: of that from the side. Sigma is drawn in the higher view of the two.
     """
-    width = _WIDTH - _BARS
+    first, second = ("top", "side") if tall > flat else ("side", "top")
+    names, heights = [[first, "sigma"], [second, second]], [max(tall, flat), 2.0 * min(tall, flat)]
     if max(tall, flat) < _LONG:  # one below the other
-        names = [["top"], ["side"], ["sigma"]]
-        widths, heights = None, (tall, flat, flat)
-        height = (tall + 2.0 * flat) * width + 3.0 * _TITLES
-    else:
-        names = [["top", "side"], ["top", "sigma"]]
-        left = (2.0 * flat * width + _TITLES) / (tall + 2.0 * flat)
-        left = float(np.clip(left, 0.3 * width, 0.65 * width))
-        widths, heights = (left, width - left), None
-        height = max(tall * left, 2.0 * flat * (width - left) + _TITLES) + _TITLES
-    figure = Figure(figsize=(_WIDTH, float(np.clip(height, 5.0, 12.0))), layout="constrained")
-    parts: dict[str, Axes] = figure.subplot_mosaic(
-        names, width_ratios=widths, height_ratios=heights
-    )
+        names, heights = [["top"], ["side"], ["sigma"]], [tall, flat, max(tall, flat)]
+    rows, columns = len(names), len(names[0])
+    blank = (rows + 1) * _TITLES  # one for the bar below
+    width = float(np.clip(columns * (_HEIGHT - blank) / sum(heights), _LEAST_WIDTH, _WIDTH))
+    height = min(width / columns * sum(heights) + blank, _HEIGHT)
+    figure = Figure(figsize=(width + _BARS, height), layout="constrained")
+    parts: dict[str, Axes] = figure.subplot_mosaic(names, height_ratios=heights)
     return figure, (parts["top"], parts["side"], parts["sigma"])
 
 
-def _aspect(points: FloatArray, view: _View) -> float:
-    extent = np.maximum(np.ptp(points, axis=0), 1e-3)
+def _aspect(points: FloatArray, track: FloatArray, view: _View) -> float:
+    extent = np.maximum(np.ptp(np.concatenate([points, track]), axis=0), 1e-3)
     return float(extent[view.up] / extent[view.across])
 
 
@@ -210,7 +208,7 @@ def _surface(voxel_map: VoxelMap) -> _Surface:
     indices, _, covariances = voxel_map.gaussians()
     centers: FloatArray = (indices.astype(np.float64) + 0.5) * voxel_map.config.voxel_size
     evidence = voxel_map.log_odds(centers)
-    usual = float(np.median(evidence)) if len(evidence) else 0.0
+    usual = min(float(np.median(evidence)), MOST_EVIDENCE) if len(evidence) else 0.0
     likely = evidence > max(0.0, LEAST_EVIDENCE * usual)
     variances, _ = smallest_axes(covariances[likely])
     return _Surface(centers[likely], np.sqrt(np.maximum(variances, 0.0)))
@@ -298,9 +296,15 @@ def _draw(
     names = [f"{'xyz'[axis]} [m]" for axis in (view.across, view.up)]
     axes.set(title=view.title, xlabel=names[0], ylabel=names[1])
     place = "bottom" if pixels.shape[0] < _FLAT * pixels.shape[1] else "right"
-    bar = axes.figure.colorbar(mapper, ax=axes, label=label, shrink=0.8, location=place)
+    form: dict[str, Any] = {"shrink": 0.8, "aspect": 40 if place == "bottom" else 20}
+    bar = axes.figure.colorbar(mapper, ax=axes, label=label, location=place, **form)
     if isinstance(scale, LogNorm):
-        bar.ax.tick_params(axis="both", which="both", labelsize="x-small")
+        low, high = float(scale.vmin or 1.0), float(scale.vmax or 1.0)
+        digits = (1, 2, 5) if high > 10.0 * low else (1, 1.5, 2, 3, 4, 6, 8)
+        ticks = [digit * 10.0**power for power in range(-3, 6) for digit in digits]
+        ticks = [tick for tick in ticks if low <= tick <= high]
+        bar.set_ticks(ticks, labels=[f"{tick:g}" for tick in ticks])
+        bar.minorticks_off()
 
 
 def _facing(depth: FloatArray, cell: float) -> FloatArray:

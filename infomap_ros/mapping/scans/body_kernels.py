@@ -127,7 +127,7 @@ def _outline(solids: Any, margin: float) -> Any:
 
 @njit(cache=True, nogil=True)
 def _is_behind(solids: Any, point: Any, outline: Any, local: Any) -> bool:
-    """Whether the way from the origin to a point leads through one of the solids."""
+    """Whether the segment from the origin to a point leads through one of the solids."""
     if point[2] > 0.0:
         row = int(point[1] / point[2] / _BIN + 0.5 * _BINS)
         column = int(point[0] / point[2] / _BIN + 0.5 * _BINS)

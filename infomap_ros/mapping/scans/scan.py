@@ -16,10 +16,10 @@ from infomap_ros.geometry.kernel import inlined_kernel, kernel
 from infomap_ros.mapping.voxels.keys import (
     KEY_X,
     KEY_Y,
+    exit_distance,
     next_of_short_walk,
     table_slot,
     unpack,
-    way_through,
 )
 
 POINTS, OFFSET, COVARIANCE, NORMAL, INSIDE = 0, 1, 4, 10, 13
@@ -196,16 +196,16 @@ def add_group(
         if row < 0:
             return False
         _add_to_row(sums, np.uint64(row), i * back, j * back, k * back, near == key, group)
-        leave = way_through(crossings)
+        leave = exit_distance(crossings)
         voxel, crossings = next_of_short_walk(voxel, crossings, steps, deltas)
     return True
 
 
 @inlined_kernel
 def walk_through(reach: Any) -> Any:
-    """Steps and ways between two crossings of a walk from ``-reach`` to ``reach``, by axis.
+    """Steps and distances between two crossings of a walk from ``-reach`` to ``reach``, by axis.
 
-    The unit of the way is the whole walk.
+    The unit of distance is the whole walk.
     """
     (step_x, delta_x), (step_y, delta_y) = _axis(2.0 * reach[0]), _axis(2.0 * reach[1])
     step_z, delta_z = _axis(2.0 * reach[2])
@@ -220,7 +220,7 @@ def _axis(direction: float) -> Any:
 
 @inlined_kernel
 def _begin(position: float, step: int, delta: float) -> Any:
-    """Voxel of a position along one axis, and the way to where the walk leaves it."""
+    """Voxel of a position along one axis, and the distance to where the walk leaves it."""
     cell = np.floor(position)
     ahead = cell + 1.0 - position if step > 0 else position - cell
     return np.int64(cell), ahead * delta if step != 0 else np.inf

@@ -26,11 +26,11 @@ from infomap_ros.mapping.scans.scan import (
 from infomap_ros.mapping.voxels.keys import (
     BLOCK_BITS,
     begin_walk,
+    exit_distance,
     local_index,
     next_voxel,
     pack,
     table_slot,
-    way_through,
 )
 
 CELL_VOXELS = 4.0
@@ -292,7 +292,7 @@ def mark_ray(marks: Any, start: Any, end: Any, length: float) -> bool:
         marks: a `FreeMarks`.
         start: shape (3,) [voxels].
         end: shape (3,) [voxels].
-        length: share of the way from start to end, in [0, 1].
+        length: share of the segment from start to end, in [0, 1].
 
     Returns:
         False when the scratch storage is full.
@@ -303,7 +303,7 @@ def mark_ray(marks: Any, start: Any, end: Any, length: float) -> bool:
     block_key, row = np.int64(-1), np.int64(-1)
     while True:
         i, j, k = voxel
-        if pack(i, j, k) == last or way_through(crossings) > length:
+        if pack(i, j, k) == last or exit_distance(crossings) > length:
             return True
         key = pack(i >> BLOCK_BITS, j >> BLOCK_BITS, k >> BLOCK_BITS)
         if key != block_key:

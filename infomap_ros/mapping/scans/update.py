@@ -198,8 +198,8 @@ def _mark_freed(dirty: Any, plane: Any, base: int, bits: Any, miss: int) -> None
         pattern, changed = bits[word], np.uint64(0)
         for i in range(64):
             delta = np.int64(plane[word * 64 + i])
-            told = clipped(base + delta) != clipped(base + delta + miss)
-            if delta == NARROW_UNKNOWN or told:
+            is_changed = clipped(base + delta) != clipped(base + delta + miss)
+            if delta == NARROW_UNKNOWN or is_changed:
                 changed |= _ONE << np.uint64(i)
         dirty[word] |= changed & pattern
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -12,7 +12,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from infomap_ros.errors import InvalidInputError
 from infomap_ros.geometry import float_array
-from infomap_ros.geometry.config import check_config, setting
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping.config import LOG_ODDS_QUANTUM
 from infomap_ros.mapping.terrain import measures
@@ -35,6 +34,7 @@ from infomap_ros.mapping.voxels.window import CONFIRMED_PROBABILITY
 # ceiling under which no floor was seen is none.
 
 _GRAZED = 2  # cubes from the neighbor's ground to a surface above which nothing was seen
+_SLOPE = 0.5  # of ground above which nothing was seen, from the robot
 _UNKNOWN_COST = 2  # cubes of height change that growing across a column without ground counts as
 
 
@@ -56,7 +56,7 @@ def grow_level(
     """
     nx, ny, nz = cubes.shape
     top[:], level[:] = -1, -1
-    starts, surfaces, climbs = _list_surfaces(cubes, headroom, gap, climb)
+    starts, surfaces, climbs = _list_surfaces(cubes, seed, headroom, gap, climb)
     capacity = 4 * nx * ny + 1
     cells, tops = np.empty(capacity, np.int64), np.empty(capacity, np.int64)
     levels, following = np.empty(capacity, np.int64), np.empty(capacity, np.int64)
@@ -98,12 +98,12 @@ def grow_level(
 
 
 @njit(cache=True, nogil=True)
-def _list_surfaces(cubes: Any, headroom: int, gap: int, climb: int) -> Any:
+def _list_surfaces(cubes: Any, seed: Any, headroom: int, gap: int, climb: int) -> Any:
     """Where each column's surfaces begin, their uppermost cubes, upwards, and how far they may be.
 
-    What was hit once is ground only where nothing else is: else it is noise above it. And where
-    nothing was seen above, as above a floor at a grazing angle, only what continues the neighbor's
-    ground is.
+    What was hit once is ground only where nothing else is: else it is noise above it. Where nothing
+    was seen above, as above a floor at a grazing angle, only what continues the neighbor's ground
+    is, and a slope from the robot reaches: else ground grew along a vault's walls onto its ceiling.
     """
     nx, ny, nz = cubes.shape
     climbs = np.full(nx * ny, climb, np.int64)
@@ -112,12 +112,11 @@ def _list_surfaces(cubes: Any, headroom: int, gap: int, climb: int) -> Any:
     count = 0
     for cell in range(nx * ny):
         i, j = cell // ny, cell % ny
+        highest = seed[2] + climb + int(_SLOPE * math.hypot(i - seed[0], j - seed[1]))
         if count + nz > len(surfaces):
-            more = np.empty(2 * len(surfaces) + nz, np.int64)
-            more[:count] = surfaces[:count]
-            surfaces = more
+            surfaces = np.append(surfaces, np.empty(len(surfaces) + nz, np.int64))
         for weakest, is_open in ((SOLID, True), (SUSPECT, True), (SOLID, False)):
-            for k in range(nz - 1):
+            for k in range(nz - 1 if is_open else min(nz - 1, highest + 1)):
                 if cubes[i, j, k] >= weakest and _is_surface_top(
                     cubes, i, j, k, headroom, gap, weakest, is_open
                 ):
@@ -240,59 +239,23 @@ def above_ground(cubes: Any, i: int, j: int, ground: int, headroom: int) -> int:
 
 GridArray = NDArray[np.float32]
 
-
-@dataclass(frozen=True)
-class TerrainConfig:
-    """What counts as ground.
-
-    Raises:
-        ConfigError: a value is out of its range.
-    """
-
-    resolution: float = setting(
-        0.05,
-        "Edge of a cell; rounded to whole voxels, at least one.",
-        unit="m",
-        low=0.001,
-        high=1.0,
-    )
-    radius: float = setting(
-        12.0, "Ground is looked for within this square about the robot.", unit="m", low=0.1,
-        high=200.0,
-    )  # fmt: skip
-    min_radius: ClassVar[float] = 1.5
-    """The grid reaches at least so far about the robot, seen or not: what stands on its edge
-    could not leave it [m].
-    """
-    below: ClassVar[float] = 3.0
-    """Ground is looked for down to this far below the robot [m]."""
-    above: ClassVar[float] = 4.0
-    """Ground and obstacles are looked for up to this far above the robot [m]."""
-    occupied_probability: ClassVar[float] = 0.75
-    """A known voxel more likely occupied than this may be ground. Right above a surface voxels get
-    some hits and as many misses; one of them would be a step in even ground.
-    """
-    climb: ClassVar[float] = 0.5
-    """Ground farther than this above or below its neighbor is on another level [m]."""
-    speck_cells: int = setting(
-        2, "Connected groups of at most so many solid cells are taken for noise.", low=0, high=8
-    )
-    headroom: ClassVar[float] = 0.1
-    """What is solid nearer than this above ground belongs to the ground [m]."""
-    unknown_gap: float = setting(
-        0.2, "Unknown stretches of a column up to this long, between known ones, count as seen.",
-        unit="m", low=0.0, high=2.0,
-    )  # fmt: skip
-    hole_cells: int = setting(
-        4, "Holes of at most so many cells are filled where all around agree.", low=0, high=64
-    )
-    hole_tolerance: ClassVar[float] = 0.02
-    """They agree when they lie within this of one plane [m]."""
-    roughness_radius: ClassVar[float] = 0.1
-    """Half the edge of the cube in which roughness is measured [m]."""
-
-    def __post_init__(self) -> None:
-        check_config(self)
+_RESOLUTION = 0.05  # edge of a cell, rounded to whole voxels, at least one [m]
+_RADIUS = 12.0  # ground is looked for within this square about the robot [m]
+# The grid reaches at least so far about the robot, seen or not: what stands on its edge could not
+# leave it [m].
+_MIN_RADIUS = 1.5
+_BELOW, _ABOVE = 3.0, 4.0  # how far below and above the robot ground is looked for [m]
+# A known voxel more likely occupied than this may be ground. Right above a surface voxels get some
+# hits and as many misses; one of them would be a step in even ground.
+_OCCUPIED_PROBABILITY = 0.75
+_CLIMB = 0.5  # ground farther than this above or below its neighbor is on another level [m]
+_SPECK_CELLS = 2  # connected groups of at most so many solid cells are taken for noise
+_HEADROOM = 0.1  # what is solid nearer than this above ground belongs to the ground [m]
+# Unknown stretches of a column up to this long, between known ones, count as seen [m].
+_UNKNOWN_GAP = 0.2
+# Holes of at most so many cells are filled where all around lies within this of one plane [m].
+_HOLE_CELLS, _HOLE_TOLERANCE = 4, 0.02
+_ROUGHNESS_RADIUS = 0.1  # half the edge of the cube in which roughness is measured [m]
 
 
 @dataclass(frozen=True, eq=False)
@@ -369,57 +332,53 @@ class Terrain:
         return np.where(inside, self.heights[i, j].astype(np.float64), np.nan)
 
 
-def terrain_of(voxel_map: VoxelMap, config: TerrainConfig | None, near: ArrayLike) -> Terrain:
+def terrain_of(voxel_map: VoxelMap, near: ArrayLike) -> Terrain:
     """Find the ground of the robot's level.
 
     Args:
         voxel_map: the map.
-        config: what counts as ground; None for the defaults.
         near: a point of the robot, for example its base, shape (3,) [m, map]: the ground there is
             the highest surface that is not above it.
 
     Raises:
         InvalidInputError: `near` is not a finite point.
     """
-    settings = config or TerrainConfig()
     point = float_array(near, "near")
     if point.shape != (3,) or not np.isfinite(point).all():
         raise InvalidInputError("near", f"is {point.tolist()}, expected a finite point")
     size = voxel_map.config.voxel_size
-    ratio = max(1, round(settings.resolution / size))
+    ratio = max(1, round(_RESOLUTION / size))
     edge = ratio * size
-    first, shape = _box(voxel_map, settings, point, ratio)
+    first, shape = _box(voxel_map, point, ratio)
     cubes = np.zeros(shape, np.uint8)
     blocks, gaussians = voxel_map._storage.blocks, voxel_map._storage.gaussians
     occupied, confirmed = (
         math.log(p / (1.0 - p)) / LOG_ODDS_QUANTUM
-        for p in (settings.occupied_probability, CONFIRMED_PROBABILITY)
+        for p in (_OCCUPIED_PROBABILITY, CONFIRMED_PROBABILITY)
     )
     gather_cubes(blocks, first, ratio, occupied, confirmed, cubes)
-    drop_specks(cubes, settings.speck_cells)
+    drop_specks(cubes, _SPECK_CELLS)
     top, level = np.empty(shape[:2], np.int64), np.empty(shape[:2], np.int64)
     seed = np.clip(np.floor(point / edge).astype(np.int64) - first, 0, np.array(shape) - 1)
-    lengths = settings.headroom, settings.unknown_gap, settings.climb
+    lengths = _HEADROOM, _UNKNOWN_GAP, _CLIMB
     headroom, gap, climb = (math.ceil(x / edge - 1e-9) for x in lengths)
     grow_level(cubes, seed, headroom, gap, climb, top, level)
     heights = np.where(top >= 0, (top + first[2] + 0.5) * edge, np.nan)
     sigmas = np.where(top >= 0, measures.CUBE_SIGMA * edge, np.nan)
     refine_heights(blocks, gaussians, size, first, ratio, cubes, top, heights, sigmas)
-    return _measured(
-        cubes, top, level, headroom, gap, heights, sigmas, first, edge, settings, point
-    )
+    return _measured(cubes, top, level, headroom, gap, heights, sigmas, first, edge, point)
 
 
 def _box(
-    voxel_map: VoxelMap, config: TerrainConfig, near: FloatArray, ratio: int
+    voxel_map: VoxelMap, near: FloatArray, ratio: int
 ) -> tuple[NDArray[np.int64], tuple[int, int, int]]:
     """First cube and number of cubes of what is looked at, never empty."""
     edge = ratio * voxel_map.config.voxel_size
-    reach = np.array([config.radius, config.radius, config.below])
+    reach = np.array([_RADIUS, _RADIUS, _BELOW])
     first = np.floor((near - reach) / edge).astype(np.int64)
-    reach[2] = config.above
+    reach[2] = _ABOVE
     last = np.floor((near + reach) / edge).astype(np.int64)
-    least = np.array([config.min_radius, config.min_radius, 0.0])
+    least = np.array([_MIN_RADIUS, _MIN_RADIUS, 0.0])
     low = np.floor((near - least) / edge).astype(np.int64)
     high = np.floor((near + least) / edge).astype(np.int64)
     bounds = voxel_map.bounds()
@@ -434,21 +393,21 @@ def _box(
 def _measured(
     cubes: NDArray[np.uint8], top: NDArray[np.int64], level: NDArray[np.int64],
     headroom: int, gap: int, heights: FloatArray, sigmas: FloatArray, first: NDArray[np.int64],
-    edge: float, config: TerrainConfig, near: FloatArray,
+    edge: float, near: FloatArray,
 ) -> Terrain:  # fmt: skip
     """Read the columns above the ground, fill its holes, and measure it."""
     shape, nz, bottom = top.shape, cubes.shape[2], first[2]
     floor, overhead, seen = (np.empty(shape, np.int64) for _ in range(3))
     pit, filled = np.empty(shape, np.bool_), np.empty(shape, np.bool_)
     read_columns(cubes, top, level, gap, floor, overhead, seen, pit)
-    measures.fill_holes(heights, sigmas, pit, config.hole_cells, config.hole_tolerance, filled)
+    measures.fill_holes(heights, sigmas, pit, _HOLE_CELLS, _HOLE_TOLERANCE, filled)
     for i, j in np.argwhere(filled):
         floor[i, j] = above_ground(cubes, i, j, int(heights[i, j] / edge - first[2]), headroom)
         overhead[i, j], seen[i, j] = read_above(cubes, i, j, floor[i, j], gap)
     steps, roughness = np.empty(shape), np.empty(shape)
     measures.largest_steps(heights, sigmas, edge, steps)
-    reach = max(1, round(config.roughness_radius / edge))
-    measures.plane_misfits(heights, reach, max(config.roughness_radius, edge), roughness)
+    reach = max(1, round(_ROUGHNESS_RADIUS / edge))
+    measures.plane_misfits(heights, reach, max(_ROUGHNESS_RADIUS, edge), roughness)
     return Terrain(
         heights=heights.astype(np.float32),
         sigma=sigmas.astype(np.float32),

@@ -213,13 +213,13 @@ def begin_walk(x: float, y: float, z: float, dx: float, dy: float, dz: float) ->
         x: first coordinate of the point [voxels], likewise y and z.
         y: see x.
         z: see x.
-        dx: first coordinate of the direction, whose length is the unit of the way; likewise dy, dz.
+        dx: first coordinate of the direction, whose length is the unit of length; likewise dy, dz.
         dy: see dx.
         dz: see dx.
 
     Returns:
-        Index of the voxel; the way to its first crossing along each axis; the steps of the index;
-        and the way between two crossings. Each a tuple of three.
+        Index of the voxel; distance to its first crossing along each axis; the steps of the index;
+        and the distance between two crossings. Each a tuple of three.
     """
     i, j, k = int(np.floor(x)), int(np.floor(y)), int(np.floor(z))
     step_x, next_x, delta_x = _axis_start(x, dx, i)
@@ -235,7 +235,7 @@ def begin_walk(x: float, y: float, z: float, dx: float, dy: float, dz: float) ->
 
 @kernel
 def _axis_start(position: float, direction: float, cell: int) -> tuple[int, float, float]:
-    """Step, way to the first crossing and between two of them along one axis."""
+    """Step, distance to the first crossing and between two of them along one axis."""
     if direction > 0.0:
         return 1, (cell + 1 - position) / direction, 1.0 / direction
     if direction < 0.0:
@@ -244,8 +244,8 @@ def _axis_start(position: float, direction: float, cell: int) -> tuple[int, floa
 
 
 @kernel
-def way_through(crossings: Any) -> float:
-    """The way to where the line leaves the voxel."""
+def exit_distance(crossings: Any) -> float:
+    """The distance to where the line leaves the voxel."""
     return min(crossings[0], min(crossings[1], crossings[2]))
 
 
@@ -254,7 +254,7 @@ def next_voxel(voxel: Any, crossings: Any, steps: Any, deltas: Any) -> Any:
     """The next voxel and its crossings; see `begin_walk`."""
     i, j, k = voxel
     x, y, z = crossings
-    leave = way_through(crossings)
+    leave = exit_distance(crossings)
     if x == leave:
         return (i + steps[0], j, k), (x + deltas[0], y, z)
     if y == leave:
@@ -271,7 +271,7 @@ def next_of_short_walk(voxel: Any, crossings: Any, steps: Any, deltas: Any) -> A
     """
     i, j, k = voxel
     x, y, z = crossings
-    leave = way_through(crossings)
+    leave = exit_distance(crossings)
     is_x = x == leave
     is_y = (not is_x) & (y == leave)
     is_z = not (is_x | is_y)

@@ -1,1 +1,1 @@
-"""Inverse kinematics, and ways of the arm with their times."""
+"""Inverse kinematics, and paths of the arm with their times."""

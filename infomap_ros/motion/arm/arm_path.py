@@ -1,17 +1,17 @@
-"""A way of the arm that touches nothing, from one configuration to another, and its times.
+"""A path of the arm that touches nothing, from one configuration to another, and its times.
 
-The straight line in joint space if that is free, else a way found by two random trees that grow
+The straight line in joint space if that is free, else a path found by two random trees that grow
 towards each other, then shortened: OMPL's RRT-Connect (Kuffner and LaValle 2000,
-https://doi.org/10.1109/ROBOT.2000.844730) and PathSimplifier. All of a way is known to be free, not
-only the configurations that were looked at (`kernels.first_on_way`). The effort is a number of
-samples: a clock would make a way depend on what else the machine does.
+https://doi.org/10.1109/ROBOT.2000.844730) and PathSimplifier. All of a path is known to be free,
+not only the configurations that were looked at (`kernels.first_on_segment`). The effort is a
+number of samples: a clock would make a path depend on what else the machine does.
 
 Times keep limits of velocity and acceleration. The joints move together along each straight piece
 with the trapezoidal profile that is the fastest between the speeds at its ends: for a piece of unit
 direction u the path speed is at most min v_j / |u_j| and its change at most min a_j / |u_j|. At a
 corner they stop, or pass it on a parabola where a collision check finds that free.
 
-Near a corner the way leaves its two straight pieces for a parabola, on which the velocity changes
+Near a corner the path leaves its two straight pieces for a parabola, on which the velocity changes
 evenly from along the one to along the other, as in Kunz and Stilman, "Time-optimal trajectory
 generation for path following with bounded acceleration and velocity" (Robotics: Science and
 Systems 2012, doi:10.15607/RSS.2012.VIII.027), who take circles. With the path speed v at both ends,
@@ -42,12 +42,12 @@ from infomap_ros.geometry import float_array
 from infomap_ros.geometry.config import check_config, parameter, setting
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.motion.collision.checker import CollisionChecker
-from infomap_ros.motion.collision.kernels import first_on_way
+from infomap_ros.motion.collision.kernels import first_on_segment
 from infomap_ros.motion.robot.chain import KinematicChain
 from infomap_ros.motion.route import ArmPath
 
-FreeWay = Callable[[FloatArray, FloatArray], bool]
-"""Whether all of the straight way between two configurations, shape (n,) each, is free."""
+FreeSegment = Callable[[FloatArray, FloatArray], bool]
+"""Whether all of the segment between two configurations, shape (n,) each, is free."""
 
 _HALF = 0.45  # of a piece that a parabola may take
 _INSTANT = 1e-5  # [s]
@@ -56,7 +56,7 @@ _FEWEST = 5  # knots of a parabola
 
 @dataclass(frozen=True, eq=False)
 class StraightPieces:
-    """A way of straight pieces with its limits.
+    """A path of straight pieces with its limits.
 
     Attributes:
         corners: shape (K, n) [rad or m], no two after each other the same.
@@ -118,47 +118,47 @@ class StraightPieces:
 
 
 def corner_speeds(
-    way: StraightPieces, deviation: float, is_free: FreeWay, period: float
+    path: StraightPieces, deviation: float, is_free: FreeSegment, period: float
 ) -> FloatArray:
     """Path speeds at the corners, at the ends 0, that all limits allow, shape (K,).
 
     Args:
-        way: the pieces.
+        path: the pieces.
         deviation: how far a joint may pass a corner [rad or m].
-        is_free: asked for every chord of every parabola; where one is not, the way stops.
+        is_free: asked for every chord of every parabola; where one is not, the path stops.
         period: longest time between two knots [s].
     """
-    limits = _limits(way, deviation)
+    limits = _limits(path, deviation)
     while True:
-        speeds = _reachable(way, limits)
+        speeds = _reachable(path, limits)
         blocked = [
             corner
             for corner in map(int, np.flatnonzero(speeds))
-            if not _is_clear(way.parabola(corner, float(speeds[corner]), period)[1], is_free)
+            if not _is_clear(path.parabola(corner, float(speeds[corner]), period)[1], is_free)
         ]
         if not blocked:
             return speeds
         limits[blocked] = 0.0
 
 
-def _limits(way: StraightPieces, deviation: float) -> FloatArray:
+def _limits(path: StraightPieces, deviation: float) -> FloatArray:
     """What each corner for itself allows."""
-    limits = np.zeros(len(way.corners))
+    limits = np.zeros(len(path.corners))
     if len(limits) < 3 or deviation <= 0.0:
         return limits
-    turns = np.maximum(way.turns[1:-1], 1e-9)
-    shorter = np.minimum(way.lengths[:-1], way.lengths[1:])
-    limits[1:-1] = np.minimum(way.speeds[:-1], way.speeds[1:])
-    limits[1:-1] = np.minimum(limits[1:-1], np.sqrt(8.0 * way.acceleration * deviation) / turns)
-    room = np.sqrt(2.0 * way.acceleration * _HALF * shorter / turns)
+    turns = np.maximum(path.turns[1:-1], 1e-9)
+    shorter = np.minimum(path.lengths[:-1], path.lengths[1:])
+    limits[1:-1] = np.minimum(path.speeds[:-1], path.speeds[1:])
+    limits[1:-1] = np.minimum(limits[1:-1], np.sqrt(8.0 * path.acceleration * deviation) / turns)
+    room = np.sqrt(2.0 * path.acceleration * _HALF * shorter / turns)
     limits[1:-1] = np.minimum(limits[1:-1], room)
     return limits
 
 
-def _reachable(way: StraightPieces, limits: FloatArray) -> FloatArray:
+def _reachable(path: StraightPieces, limits: FloatArray) -> FloatArray:
     """The speeds, lowered to what the pieces between the corners allow to reach."""
-    speeds, margins = limits.copy(), way.margins(limits)
-    gains = 2.0 * way.growths * (way.lengths - margins[:-1] - margins[1:])
+    speeds, margins = limits.copy(), path.margins(limits)
+    gains = 2.0 * path.growths * (path.lengths - margins[:-1] - margins[1:])
     for at in range(1, len(speeds)):
         speeds[at] = min(speeds[at], math.sqrt(speeds[at - 1] ** 2 + gains[at - 1]))
     for at in range(len(speeds) - 2, -1, -1):
@@ -166,7 +166,7 @@ def _reachable(way: StraightPieces, limits: FloatArray) -> FloatArray:
     return speeds
 
 
-def _is_clear(knots: FloatArray, is_free: FreeWay) -> bool:
+def _is_clear(knots: FloatArray, is_free: FreeSegment) -> bool:
     return all(is_free(first, second) for first, second in pairwise(knots))
 
 
@@ -195,7 +195,7 @@ class TrajectoryConfig:
     )
     corner_deviation: float = setting(
         0.05,
-        "How far a joint may pass beside a corner of a way so as not to stop there; the collision "
+        "How far a joint may pass beside a corner of a path so as not to stop there; the collision "
         "check decides whether it does. 0 stops at every corner.",
         unit="rad or m",
         low=0.0,
@@ -218,20 +218,20 @@ def time_path(
     chain: KinematicChain,
     waypoints: FloatArray,
     config: TrajectoryConfig | None = None,
-    is_free: FreeWay | None = None,
+    is_free: FreeSegment | None = None,
 ) -> ArmPath:
-    """Give a way times.
+    """Give a path times.
 
     Args:
         chain: whose joints move.
-        waypoints: corners of the way, shape (K, n) [rad or m], at least one.
+        waypoints: corners of the path, shape (K, n) [rad or m], at least one.
         config: limits.
-        is_free: whether a straight way is free: corners that can be passed are; all are stopped at
+        is_free: whether a segment is free: corners that can be passed are; all are stopped at
             without it.
 
     Returns:
-        The same way, but for its corners, with knots so close that straight lines between them keep
-        the limits.
+        The same path, but for its corners, with knots so close that straight lines between them
+        keep the limits.
 
     Raises:
         InvalidInputError: `waypoints` has another shape or is not finite.
@@ -245,11 +245,11 @@ def time_path(
     corners = _distinct(corners)
     if len(corners) == 1:
         return ArmPath(chain.joint_names, corners, np.zeros(1))
-    way = StraightPieces.of(corners, settings.velocities(chain), settings.acceleration)
+    path = StraightPieces.of(corners, settings.velocities(chain), settings.acceleration)
     speeds = np.zeros(len(corners))
     if is_free is not None:
-        speeds = corner_speeds(way, settings.corner_deviation, is_free, settings.period)
-    positions, times = _timed(way, speeds, settings.period)
+        speeds = corner_speeds(path, settings.corner_deviation, is_free, settings.period)
+    positions, times = _time(path, speeds, settings.period)
     return ArmPath(chain.joint_names, positions, times)
 
 
@@ -261,21 +261,21 @@ def _distinct(corners: FloatArray) -> FloatArray:
     return np.array(kept)
 
 
-def _timed(way: StraightPieces, speeds: FloatArray, period: float) -> tuple[FloatArray, FloatArray]:
-    """Knots and times of a way that passes its corners at some speeds."""
-    margins = way.margins(speeds)
-    positions, times = [way.corners[:1]], [np.zeros(1)]
-    for piece, (direction, length) in enumerate(zip(way.directions, way.lengths, strict=True)):
+def _time(path: StraightPieces, speeds: FloatArray, period: float) -> tuple[FloatArray, FloatArray]:
+    """Knots and times of a path that passes its corners at some speeds."""
+    margins = path.margins(speeds)
+    positions, times = [path.corners[:1]], [np.zeros(1)]
+    for piece, (direction, length) in enumerate(zip(path.directions, path.lengths, strict=True)):
         begin, end = margins[piece], length - margins[piece + 1]
         ends = float(speeds[piece]), float(speeds[piece + 1])
-        limits = float(way.speeds[piece]), float(way.growths[piece])
+        limits = float(path.speeds[piece]), float(path.growths[piece])
         seconds, lengths = _profile(end - begin, ends, limits, period)
-        positions.append(way.corners[piece] + (begin + lengths)[:, None] * direction)
+        positions.append(path.corners[piece] + (begin + lengths)[:, None] * direction)
         if margins[piece + 1] == 0.0:
-            positions[-1][-1] = way.corners[piece + 1]
+            positions[-1][-1] = path.corners[piece + 1]
         times.append(times[-1][-1] + seconds)
         if margins[piece + 1] > 0.0:
-            seconds, knots = way.parabola(piece + 1, ends[1], period)
+            seconds, knots = path.parabola(piece + 1, ends[1], period)
             positions.append(knots[1:])
             times.append(times[-1][-1] + seconds[1:])
     return np.concatenate(positions), np.concatenate(times)
@@ -316,6 +316,9 @@ _NARROWEST = 1e-6  # [rad or m]; range of a joint that OMPL takes
 util.setLogLevel(util.LOG_NONE)
 
 
+_STEP = 0.25  # length of a new branch, as the farthest that a point of the body may go [m]
+
+
 @dataclass(frozen=True)
 class ArmPathConfig:
     """Effort of the search.
@@ -325,24 +328,17 @@ class ArmPathConfig:
     """
 
     samples: int = setting(
-        16000, "Random configurations after which the search for a way ends.", low=1, high=10**9
-    )
-    step: float = setting(
-        0.25,
-        "Length of a new branch, measured as the farthest that a point of the body may go.",
-        unit="m",
-        low=0.001,
-        high=100.0,
+        16000, "Random configurations after which the search for a path ends.", low=1, high=10**9
     )
     shortcuts: ClassVar[int] = 100
-    """Number of attempts to shorten the way that was found, and then to leave out corners."""
+    """Number of attempts to shorten the path that was found, and then to leave out corners."""
 
     def __post_init__(self) -> None:
         check_config(self)
 
 
 QUICK_SEARCH = ArmPathConfig(samples=3000)
-"""For one way of several that are tried."""
+"""For one path of several that are tried."""
 
 
 def plan_arm_path(
@@ -354,11 +350,11 @@ def plan_arm_path(
     trajectory: TrajectoryConfig | None = None,
     seed: int = 0,
 ) -> ArmPath:
-    """Plan a way of the arm while the base stands still.
+    """Plan a path of the arm while the base stands still.
 
     A start that touches something may be left, without coming nearer to what it touches; the goal
     must be free. A start beyond the limits, as encoders may report it, is taken to be at them.
-    Joints that turn without end take the shorter way round.
+    Joints that turn without end take the shorter turn.
 
     Args:
         checker: the robot in its map.
@@ -370,36 +366,36 @@ def plan_arm_path(
         seed: of the random search.
 
     Returns:
-        The way with times, or why there is none.
+        The path with times, or why there is none.
 
     Raises:
         InvalidInputError: malformed positions or pose.
     """
     settings, chain = config or ArmPathConfig(), checker.body.chain
     start = np.clip(chain.check(q_start, "q_start"), chain.lower, chain.upper)
-    goal = _shorter_way_round(chain, start, chain.check(q_goal, "q_goal"))
+    goal = _shorter_turn(chain, start, chain.check(q_goal, "q_goal"))
     problem = _obstacle(checker, goal, T_map_base)
     if problem:
         return ArmPath.failed(chain.joint_names, problem)
     space, scratch = checker.departure(start, T_map_base), checker.body.scratch()
 
     def is_free(first: FloatArray, second: FloatArray) -> bool:
-        return first_on_way(space, first, second, scratch) < 0.0
+        return first_on_segment(space, first, second, scratch) < 0.0
 
     if is_free(start, goal):
         return time_path(chain, np.stack([start, goal]), trajectory)
     util.RNG.setSeed(seed + 1)  # 0 would be any
-    found = _Search(checker, is_free, settings, (start, goal)).way()
+    found = _Search(checker, is_free, settings, (start, goal)).corners()
     if found is None:
-        why = checker.contact_on_way(start, goal, T_map_base)
+        why = checker.contact_between(start, goal, T_map_base)
         return ArmPath.failed(
             chain.joint_names,
-            f"no way of the arm found in {settings.samples} samples; straight on: {why}",
+            f"no path of the arm found in {settings.samples} samples; straight on: {why}",
         )
     return time_path(chain, found, trajectory, is_free)
 
 
-def _shorter_way_round(chain: KinematicChain, start: FloatArray, goal: FloatArray) -> FloatArray:
+def _shorter_turn(chain: KinematicChain, start: FloatArray, goal: FloatArray) -> FloatArray:
     turns = np.round((goal - start) / _TURN)
     return np.where(chain.is_continuous, goal - _TURN * turns, goal)
 
@@ -419,7 +415,7 @@ class _Search:
 
     Args:
         checker: the robot in its map.
-        is_free: whether the straight way between two configurations, shape (n,), touches nothing.
+        is_free: whether the segment between two configurations, shape (n,), touches nothing.
         config: effort.
         ends: start and goal, shape (n,) each.
     """
@@ -450,12 +446,12 @@ class _Search:
         self._information.setMotionValidator(_Validator(self._information, is_free, self.weights))
         self._information.setup()
 
-    def way(self) -> FloatArray | None:
+    def corners(self) -> FloatArray | None:
         """Configurations from start to goal with free straight lines between them, (K, n)."""
         problem = ob.ProblemDefinition(self._information)
         problem.setStartAndGoalStates(*(self._state(q) for q in self._ends))
         planner, samples = og.RRTConnect(self._information), iter(range(self._config.samples))
-        planner.setRange(self._config.step)
+        planner.setRange(_STEP)
         planner.setProblemDefinition(problem)
         planner.setup()
         planner.solve(ob.PlannerTerminationCondition(lambda: next(samples, None) is None))
@@ -465,9 +461,9 @@ class _Search:
         simplifier = og.PathSimplifier(self._information)
         simplifier.partialShortcutPath(path, attempts, attempts, 1.0)
         simplifier.reduceVertices(path, attempts, attempts, 1.0)  # each corner takes time
-        way = np.array([_positions(state, self.weights) for state in path.getStates()])
-        way[0], way[-1] = self._ends
-        return way
+        corners = np.array([_positions(state, self.weights) for state in path.getStates()])
+        corners[0], corners[-1] = self._ends
+        return corners
 
     def _state(self, q: FloatArray) -> Any:
         state = self._states.allocState()

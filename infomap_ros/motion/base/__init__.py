@@ -1,1 +1,1 @@
-"""Where the base can stand, and its ways over rough ground."""
+"""Where the base can stand, and its paths over rough ground."""

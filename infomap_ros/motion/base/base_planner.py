@@ -1,4 +1,4 @@
-"""Ways of the base over rough ground, all ground that it can reach, and why it gets nowhere."""
+"""Paths of the base over rough ground, all ground that it can reach, and why it gets nowhere."""
 
 from __future__ import annotations
 
@@ -16,13 +16,15 @@ from infomap_ros.mapping.terrain.terrain import Terrain
 from infomap_ros.motion.base import drive_graph
 from infomap_ros.motion.base.drive_graph import HEADINGS, legs_of
 from infomap_ros.motion.base.drive_space import BasePath, BasePlannerConfig, DriveSpace, links_for
-from infomap_ros.motion.base.driven_path import DrivenPath
+from infomap_ros.motion.base.driven_path import REACH, DrivenPath
 from infomap_ros.motion.base.standing_ground import with_standing_ground
 from infomap_ros.motion.base.vehicle import Vehicle
 
 _MOST_BESIDE = 4  # cells to each side of a place that are tried; of more every second, third, ...
 _WITHDRAWAL = 0.1  # [m]; by which it drives straight before it asks again where it can turn
 _SAME_PLACE = 1e-6  # [m and rad]
+_SAMPLES = 2000  # random places that OMPL tries for a path better than the lattice's
+_ESCAPE = 0.25  # over which a robot may leave that stands where it should not [m]
 
 NodeArray = NDArray[np.int64]
 
@@ -34,7 +36,7 @@ class DriveReach:
         space: where the vehicle can stand.
         start: x, y, yaw, shape (3,). A robot that stands where it should not may leave from
             there over the configured distance; one that is only nearer to things than its margin
-            touches nothing on that way if that can be avoided.
+            touches nothing on that path if that can be avoided.
 
     Only the last one made of a space holds: the next search overwrites it.
     """
@@ -61,8 +63,8 @@ class DriveReach:
         """Cells that are reached in any heading, shape (nx, ny)."""
         return np.asarray((self._graph.costs >= 0).any(axis=2))
 
-    def way_to_any(self, places: FloatArray) -> tuple[FloatArray, int] | None:
-        """The cheapest way to one of several places, shape (P, 3), and which it is; or None."""
+    def path_to_any(self, places: FloatArray) -> tuple[FloatArray, int] | None:
+        """The cheapest path to one of several places, shape (P, 3), and which it is; or None."""
         costs = self._graph.costs.ravel()
         ends = [
             (int(node), index)
@@ -76,11 +78,11 @@ class DriveReach:
             node, index = ends[n]
             join = self._links.join(self._place_of(node), places[index])
             if self._space.fault_on(join) is None:
-                return np.concatenate([self._way_to(node), join[1:]]), index
+                return np.concatenate([self._path_to(node), join[1:]]), index
         return None
 
     def nearest_to(self, goals: FloatArray) -> tuple[FloatArray, int, float] | None:
-        """Way to the reached node nearest to a goal, that goal, and the distance left [m]."""
+        """Path to the reached node nearest to a goal, that goal, and the distance left [m]."""
         nodes = np.flatnonzero(self._graph.costs.ravel() >= 0)
         if not len(nodes):
             return None
@@ -93,19 +95,19 @@ class DriveReach:
             costs = np.where(nearest, self._graph.costs.ravel()[nodes], np.inf)
             found = int(costs.argmin())
             best = min(best, (float(left[found]), float(costs[found]), index, int(nodes[found])))
-        return self._way_to(best[3]), best[2], best[0]
+        return self._path_to(best[3]), best[2], best[0]
 
-    def _way_to(self, node: int) -> FloatArray:
+    def _path_to(self, node: int) -> FloatArray:
         """Places from the start to a node."""
         origins = self._graph.origins.ravel()
-        way = [self._place_of(node)]
+        places = [self._place_of(node)]
         while origins[node] != node:
             node = int(origins[node])
-            way.append(self._place_of(node))
-        first = self._links.join(self._entry, way[-1])
+            places.append(self._place_of(node))
+        first = self._links.join(self._entry, places[-1])
         if np.abs(self._entry - self.start).max() > _SAME_PLACE:
             first = np.concatenate([self.start[None], first])
-        return np.concatenate([first[:-1], self._links.chain(np.array(way[::-1]))])
+        return np.concatenate([first[:-1], self._links.chain(np.array(places[::-1]))])
 
     def _joins(self, place: FloatArray) -> NodeArray:
         """Nodes near a place to which the robot may drive."""
@@ -132,7 +134,7 @@ class DriveReach:
         """Nodes near a place straight behind or before a start in which the robot cannot turn."""
         ahead = np.array([np.cos(start[2]), np.sin(start[2]), 0.0])
         signs = (-1.0, 1.0) if space.config.reverse else (1.0,)
-        for distance in np.arange(_WITHDRAWAL, space.config.reach + 1e-9, _WITHDRAWAL):
+        for distance in np.arange(_WITHDRAWAL, REACH + 1e-9, _WITHDRAWAL):
             for sign in signs:
                 place = start + sign * distance * ahead
                 if space.fault_on(np.stack([start, place])) is None:
@@ -144,17 +146,17 @@ class DriveReach:
 
     def _escapes(self, start: FloatArray) -> NodeArray:
         """Nodes near the start at which the robot may stand."""
-        space, distance = self._space, self._space.config.escape
+        space, distance = self._space, _ESCAPE
         nodes = self._nodes_around(start, distance)
         places = np.array([self._place_of(node) for node in nodes]).reshape(-1, 3)
         near = np.hypot(*(places[:, :2] - start[:2]).T) <= distance
         near[near] = space.vehicle.stances(space.terrain, places[near]).ok
         return np.asarray(nodes[near])
 
-    def _costs(self, ways: list[tuple[FloatArray, FloatArray]]) -> NodeArray:
-        """Costs of ways from one place to another, in the graph's units."""
+    def _costs(self, motions: list[tuple[FloatArray, FloatArray]]) -> NodeArray:
+        """Costs of motions from one place to another, in the graph's units."""
         scale = drive_graph.UNITS / self._space.grid[2]
-        return np.array([round(scale * self._links.cost(*way)) for way in ways], np.int64)
+        return np.array([round(scale * self._links.cost(*motion)) for motion in motions], np.int64)
 
     def _nodes_around(self, place: FloatArray, reach: float | None = None) -> NodeArray:
         """Nodes within a distance of a place along x and y, the links' reach if none is given."""
@@ -208,7 +210,7 @@ class BasePlanner:
         return self._space.terrain
 
     def plan(self, start: ArrayLike, goals: ArrayLike, samples: int | None = None) -> BasePath:
-        """Find a way to one of the goals, or as near to one as is safe.
+        """Find a path to one of the goals, or as near to one as is safe.
 
         The lattice says which goal is nearest and how it is reached; OMPL plans the path there
         anew and shortens it (`driven_path`). The lattice's path is kept where OMPL finds none
@@ -225,14 +227,14 @@ class BasePlanner:
         """
         here, targets = _places(start, "start", False)[0], _places(goals, "goals", True)
         places, owners, reasons = self._space.standable_goals(targets)
-        found = self._reached_from(here).way_to_any(places)
+        found = self._reached_from(here).path_to_any(places)
         if found is None:
             return self._approach(targets, reasons, samples)
-        way, method = self._driven(found[0], samples)
-        goal = _owner(way[-1], places, owners)
+        path, method = self._driven(found[0], samples)
+        goal = _owner(path[-1], places, owners)
         if np.isnan(targets[goal, 2]):
-            way = self._free_arrival(way)
-        return self._space.finished(way, goal, method)
+            path = self._free_arrival(path)
+        return self._space.finished(path, goal, method)
 
     def reachable_area(self, start: ArrayLike) -> NDArray[np.bool_]:
         """Cells of the terrain in whose middle the base can stand and to which it can drive.
@@ -258,34 +260,34 @@ class BasePlanner:
             self._reach = DriveReach(self._space, start)
         return self._reach
 
-    def _driven(self, way: FloatArray, samples: int | None) -> tuple[FloatArray, str]:
+    def _driven(self, path: FloatArray, samples: int | None) -> tuple[FloatArray, str]:
         """OMPL's path or else the lattice's, and which it is."""
-        most = self.config.samples if samples is None else samples
-        path = self._ompl.better_than(way, most) if most > 0 else None
-        return (way, "lattice") if path is None else (path, "ompl")
+        most = _SAMPLES if samples is None else samples
+        better = self._ompl.better_than(path, most) if most > 0 else None
+        return (path, "lattice") if better is None else (better, "ompl")
 
-    def _free_arrival(self, way: FloatArray) -> FloatArray:
-        """A way to a goal of any heading without its last turn, where that may be left out."""
-        if len(way) < 2 or self.config.turning_radius > 0.0:
-            return way
-        a, b = way[-2:]
+    def _free_arrival(self, path: FloatArray) -> FloatArray:
+        """A path to a goal of any heading without its last turn, where that may be left out."""
+        if len(path) < 2 or self.config.turning_radius > 0.0:
+            return path
+        a, b = path[-2:]
         first, length, _ = legs_of(*a, *b, self.config.reverse)
-        arrival = way.copy()
+        arrival = path.copy()
         arrival[-1, 2] = a[2] + first if length > 0.0 else a[2]
-        return way if self._space.fault_on(arrival[-2:]) is not None else arrival
+        return path if self._space.fault_on(arrival[-2:]) is not None else arrival
 
     def _approach(self, targets: FloatArray, reasons: list[str], samples: int | None) -> BasePath:
-        """The farthest safe approach, or no way at all, and why."""
+        """The farthest safe approach, or no path at all, and why."""
         assert self._reach is not None
         nearest = self._reach.nearest_to(targets)
         if nearest is None:
             reason = self._why_stuck(self._reach)
             return self._space.nowhere(f"the robot cannot leave its place: {reason}")
-        way, goal, left = nearest
-        reason = reasons[goal] or "no way to the goal over ground that is known and safe"
+        path, goal, left = nearest
+        reason = reasons[goal] or "no path to the goal over ground that is known and safe"
         reason += f"; the farthest safe approach ends {left:.2f} m from it"
-        way, method = self._driven(way, samples)
-        return self._space.finished(way, goal, method, reason)
+        path, method = self._driven(path, samples)
+        return self._space.finished(path, goal, method, reason)
 
     def _why_stuck(self, reach: DriveReach) -> str:
         reason = self.vehicle.refusal(self.terrain, reach.start)
@@ -304,7 +306,7 @@ def _places(values: ArrayLike, name: str, any_heading: bool) -> FloatArray:
 
 
 def _owner(place: FloatArray, places: FloatArray, owners: NDArray[np.int64]) -> int:
-    """Goal to which the place belongs at which a way ends."""
+    """Goal to which the place belongs at which a path ends."""
     away = np.hypot(*(places[:, :2] - place[:2]).T)
     away += np.abs((places[:, 2] - place[2] + math.pi) % (2.0 * math.pi) - math.pi)
     return int(owners[away.argmin()])
@@ -347,21 +349,21 @@ def _around(vehicle: Vehicle, terrain: Terrain, here: FloatArray) -> str:
         poses += [np.array([*beside, here[2]]), np.array([*beside, bearing])]
     found = [reason for pose in poses if (reason := vehicle.refusal(terrain, pose))]
     if not found:
-        return "no way was found between poses that are safe"
-    told = [reason for reason in found if not reason.startswith(_EDGE)] or found
-    kinds = Counter(reason.split(" at (")[0] for reason in told)
+        return "no path was found between poses that are safe"
+    relevant = [reason for reason in found if not reason.startswith(_EDGE)] or found
+    kinds = Counter(reason.split(" at (")[0] for reason in relevant)
     kind, count = kinds.most_common(1)[0]
-    example = next(reason for reason in told if reason.startswith(kind))
+    example = next(reason for reason in relevant if reason.startswith(kind))
     return f"in {count} of {len(poses)} poses about it {example}"
 
 
-_EXITS = 40  # nearest cells outside, of which the one with the cheapest way is taken
+_EXITS = 40  # nearest cells outside, of which the one with the cheapest path is taken
 
 
 class LeavingPlanner(BasePlanner):
     """Plans for a robot that stands in a keep-out region or outside a fence.
 
-    Ways begin with the shortest one to where it may stand; from there on they keep to the rules.
+    Paths begin with the shortest one to where it may stand; from there on they keep to the rules.
     Other regions and fences hold from the start.
 
     Args:
@@ -385,11 +387,11 @@ class LeavingPlanner(BasePlanner):
         self._out: tuple[FloatArray, BasePath] | None = None
 
     def plan(self, start: ArrayLike, goals: ArrayLike, samples: int | None = None) -> BasePath:
-        """The way out and on to one of the goals, or as near to one as is safe; see `BasePlanner`.
+        """The path out and on to one of the goals, or as near to one as is safe; see `BasePlanner`.
 
-        Where there is no way on, the way out alone, with the reason.
+        Where there is no path on, the path out alone, with the reason.
         """
-        out = self._way_out(np.asarray(start, dtype=np.float64))
+        out = self._exit_path(np.asarray(start, dtype=np.float64))
         if not out.complete:
             return out
         on = super().plan(out.poses[-1], goals, samples)
@@ -397,18 +399,18 @@ class LeavingPlanner(BasePlanner):
 
     def reachable_area(self, start: ArrayLike) -> NDArray[np.bool_]:
         """Cells in which the base may stand and to which it can drive; see `BasePlanner`."""
-        out = self._way_out(np.asarray(start, dtype=np.float64))
+        out = self._exit_path(np.asarray(start, dtype=np.float64))
         if not out.complete:
             return np.zeros(self.terrain.heights.shape, np.bool_)
         return super().reachable_area(out.poses[-1])
 
-    def _way_out(self, start: FloatArray) -> BasePath:
-        """The shortest way to where the robot may stand, remembered for the last start."""
+    def _exit_path(self, start: FloatArray) -> BasePath:
+        """The shortest path to where the robot may stand, remembered for the last start."""
         if self._out is None or not np.array_equal(self._out[0], start):
-            self._out = start.copy(), self._find_way_out(start)
+            self._out = start.copy(), self._find_exit_path(start)
         return self._out[1]
 
-    def _find_way_out(self, start: FloatArray) -> BasePath:
+    def _find_exit_path(self, start: FloatArray) -> BasePath:
         area = self._opened.reachable_area(start)
         cells = np.argwhere(area)
         middles = self._opened.terrain.centers_of(cells)
@@ -421,7 +423,7 @@ class LeavingPlanner(BasePlanner):
         goals = goals[self.vehicle.stances(self.terrain, goals).ok]
         where = self.vehicle.closed_at(self.terrain, *start)
         if not len(goals):
-            reason = f"the robot stands {where}, and no way leads out"
+            reason = f"the robot stands {where}, and no path leads out"
             return self._space.nowhere(reason)
         path = self._opened.plan(start, goals, samples=0)
         if path.complete:
@@ -442,5 +444,5 @@ def _joined(first: BasePath, second: BasePath) -> BasePath:
 
 
 def _alone(out: BasePath, on: BasePath) -> BasePath:
-    """The way out, which leads to no goal."""
+    """The path out, which leads to no goal."""
     return dataclasses.replace(out, complete=False, reason=on.reason, goal=on.goal)

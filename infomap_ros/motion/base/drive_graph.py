@@ -5,7 +5,7 @@ places of different heading are linked by a straight line, an arc and a straight
 lines of length zero, the arc tangent to the lines on which the headings lie.
 
 The lattice is one of cells and headings (x, y, heading). 16 headings point exactly at neighboring
-cells, up to a knight's move away, so that every way in the graph can be driven as it is: one move
+cells, up to a knight's move away, so that every path in the graph can be driven as it is: one move
 forwards or backwards, or a turn to the next heading, in place or on an arc that leads to another
 cell's middle. Stances in between are asked too, one per edge of a cell and per step of a turn.
 """
@@ -33,7 +33,7 @@ def wrapped(angle: float) -> float:
 def legs_of(
     ax: float, ay: float, ayaw: float, bx: float, by: float, byaw: float, reverse: bool
 ) -> tuple[float, float, float]:
-    """First turn [rad], length [m] and last turn [rad] of the way from a to b.
+    """First turn [rad], length [m] and last turn [rad] of the path from a to b.
 
     Of driving forwards and, where allowed, backwards that with the smaller turns.
     """
@@ -59,7 +59,7 @@ def counts_of(first: float, length: float, last: float, spacing: float, angle: f
 
 @kernel
 def pose_at(a: Any, b: Any, legs: Any, counts: Any, step: int) -> tuple[float, float, float]:
-    """Place after a number of steps of the way from a to b."""
+    """Place after a number of steps of the path from a to b."""
     turn, drive, last = counts
     heading = a[2] + legs[0]
     if step <= turn:
@@ -75,7 +75,7 @@ def pose_at(a: Any, b: Any, legs: Any, counts: Any, step: int) -> tuple[float, f
 def drives_well(
     places: Any, reverse: bool, spacing: float, angle: float, ground: Any, fault: Any,
 ) -> bool:  # fmt: skip
-    """Drive through places, shape (K, 3), and ask every stance on the way itself.
+    """Drive through places, shape (K, 3), and ask every stance on the path itself.
 
     Returns:
         Whether all are good; if not, `fault` holds the place of the first that is not.
@@ -93,14 +93,14 @@ def drives_well(
 
 @njit(cache=True, nogil=True)
 def drive_cost(a: Any, b: Any, reverse: bool, turn_cost: float) -> float:
-    """Length of the way from a to b [m], its turns counted at `turn_cost` [m/rad]."""
+    """Length of the path from a to b [m], its turns counted at `turn_cost` [m/rad]."""
     first, length, last = legs_of(a[0], a[1], a[2], b[0], b[1], b[2], reverse)
     return length + turn_cost * (abs(first) + abs(last))
 
 
 @njit(cache=True, nogil=True)
 def points_along(places: Any, reverse: bool, spacing: float, angle: float) -> Any:
-    """The way through places, shape (K, 3), in steps of at most `spacing` [m] and `angle` [rad]."""
+    """Path through places, shape (K, 3), in steps of at most `spacing` [m] and `angle` [rad]."""
     total = 1
     for n in range(len(places) - 1):
         a, b = places[n], places[n + 1]
@@ -125,7 +125,7 @@ def points_along(places: Any, reverse: bool, spacing: float, angle: float) -> An
 def arc_between(a: Any, b: Any) -> Any:
     """Line before, turn, radius, line after from a to b; lengths negative backwards [m, rad].
 
-    The radius is 0 where the places are on one line, NaN where no such way links them.
+    The radius is 0 where the places are on one line, NaN where no such path links them.
     """
     dx, dy, turn = b[0] - a[0], b[1] - a[1], wrapped(b[2] - a[2])
     ux, uy = math.cos(a[2]), math.sin(a[2])
@@ -143,7 +143,7 @@ def arc_between(a: Any, b: Any) -> Any:
 
 @njit(cache=True, nogil=True)
 def arc_points(a: Any, b: Any, spacing: float) -> Any:
-    """The way from a to b in equal steps of at most `spacing` [m], both included, shape (n, 3)."""
+    """The path from a to b in equal steps of at most `spacing` [m], both included, shape (n, 3)."""
     before, turn, radius, after = arc_between(a, b)
     backwards = before < 0.0 or after < 0.0 or _goes_back(a, b)
     sign = -1.0 if backwards else 1.0
@@ -228,8 +228,8 @@ class DriveGraph(NamedTuple):
         turns: whether it may turn left to the next heading, in place or on an arc.
         rights: likewise right on an arc; empty for turns in place, which are the same back.
         moves: whether it may move forwards to the next cell in its heading.
-        costs: of the best way from the start, in units of 1/20 cell; -1 = not reached.
-        origins: node from which a node is reached; itself for a node where ways begin.
+        costs: of the best path from the start, in units of 1/20 cell; -1 = not reached.
+        origins: node from which a node is reached; itself for a node where paths begin.
     """
 
     nodes: NDArray[np.uint8]
@@ -305,14 +305,14 @@ def flood(
     graph: Any, starts: Any, start_costs: Any, arcs: Any, reverse: bool, turn_cost: float,
     grid: Any, ground: Any,
 ) -> int:  # fmt: skip
-    """Find the best way to every node that can be reached (Dijkstra, Dial's buckets).
+    """Find the best path to every node that can be reached (Dijkstra, Dial's buckets).
 
     An entry of a bucket is a node and the entry below it. One whose node has become cheaper since
     stays and is passed over.
 
     Args:
         graph: a `DriveGraph`; its costs and origins are filled.
-        starts: nodes where ways begin, flat indices, shape (S,).
+        starts: nodes where paths begin, flat indices, shape (S,).
         start_costs: cost of being there, increasing, shape (S,), int.
         arcs: displacements of turns, `IN_PLACE` or of `arc_moves`.
         reverse: whether driving backwards is allowed.

@@ -29,21 +29,12 @@ from infomap_ros.motion.base.vehicle import Vehicle, terrain_arrays
 
 @dataclass(frozen=True)
 class BasePlannerConfig:
-    """How a way of the base is looked for.
+    """How a path of the base is looked for.
 
     Raises:
         ConfigError: a value is out of its range.
     """
 
-    samples: int = setting(
-        2000,
-        "Random places that OMPL tries for a path better than the lattice's; 0 to drive that.",
-        low=0,
-        high=10**9,
-    )
-    reach: float = setting(
-        1.0, "Longest motion by which OMPL's trees grow.", unit="m", low=0.05, high=100.0
-    )
     reverse: bool = parameter(True, "Whether the robot may drive backwards.")
     turning_radius: float = parameter(
         0.0, "Smallest radius on which the robot turns; 0 if it turns in place.", unit="m", low=0.0,
@@ -52,10 +43,6 @@ class BasePlannerConfig:
     turn_cost: float = setting(
         0.2, "Length that a turn by one radian counts as.", unit="m/rad", low=0.0, high=0.35
     )
-    escape: float = setting(
-        0.25, "A robot that stands where it should not may leave over up to this distance.",
-        unit="m", low=0.0, high=5.0,
-    )  # fmt: skip
     standing_reach: ClassVar[float] = 0.2
     """Ground within this of the body counts as known because the robot stands there [m]."""
 
@@ -65,7 +52,7 @@ class BasePlannerConfig:
 
 @dataclass(frozen=True, eq=False)
 class BasePath:
-    """A way of the base: turns in place and straight lines, forwards or backwards.
+    """A path of the base: turns in place and straight lines, forwards or backwards.
 
     Attributes:
         poses: x, y [m] and yaw [rad] in the map, shape (K, 3), never more than a cell of the
@@ -108,19 +95,19 @@ class Turns:
         self.reach = edge
 
     def cost(self, a: FloatArray, b: FloatArray) -> float:
-        """Cost of the way from a to b, shape (3,) each [m]."""
+        """Cost of the path from a to b, shape (3,) each [m]."""
         return float(drive_cost(a, b, self._config.reverse, self._config.turn_cost))
 
     def join(self, a: FloatArray, b: FloatArray) -> FloatArray:
-        """The way from a to b, both included, shape (K, 3)."""
+        """The path from a to b, both included, shape (K, 3)."""
         return np.stack([a, b])
 
     def chain(self, places: FloatArray) -> FloatArray:
-        """The way through nodes that follow each other in the graph, shape (N, 3) -> (K, 3)."""
+        """The path through nodes that follow each other in the graph, shape (N, 3) -> (K, 3)."""
         return places
 
     def state_space(self) -> Any:
-        """OMPL's space of these ways, without bounds: curves whose radius vanishes."""
+        """OMPL's space of these paths, without bounds: curves whose radius vanishes."""
         return _curves(_IN_PLACE, self._config.reverse)
 
 
@@ -149,11 +136,11 @@ class Curves:
         """See `Turns`."""
         first, last, between = self._state(a), self._state(b), self._space.allocState()
         count = max(1, math.ceil(self._space.distance(first, last) / self._spacing))
-        way = np.empty((count + 1, 3))
+        path = np.empty((count + 1, 3))
         for n in range(count + 1):
             self._space.interpolate(first, last, n / count, between)
-            way[n] = between.getX(), between.getY(), between.getYaw()
-        return way
+            path[n] = between.getX(), between.getY(), between.getYaw()
+        return path
 
     def chain(self, places: FloatArray) -> FloatArray:
         """See `Turns`."""
@@ -182,7 +169,7 @@ def state_of(space: Any, place: FloatArray) -> Any:
 
 
 Links = Turns | Curves
-"""Ways between two places for one kind of vehicle."""
+"""Paths between two places for one kind of vehicle."""
 
 
 def links_for(config: BasePlannerConfig, edge: float) -> Links:
@@ -224,10 +211,10 @@ class DriveSpace:
         return self.fault_on(place[None]) is None
 
     def fault_on(self, places: FloatArray, steps: int = 1) -> FloatArray | None:
-        """Place of the first stance on a way that is not good, shape (3,); None if all are.
+        """Place of the first stance on a path that is not good, shape (3,); None if all are.
 
         Args:
-            places: the way, shape (K, 3).
+            places: the path, shape (K, 3).
             steps: stances to a cell's length, and to a step of the headings.
         """
         fault, spacing, angle = np.empty(3), self.grid[2] / steps, self.grid[3] / steps
@@ -257,23 +244,23 @@ class DriveSpace:
             reasons.append(bad and f"goal: {bad}")
         return places[good], owner[good], reasons
 
-    def in_steps(self, way: FloatArray) -> FloatArray:
-        """A way in the steps in which it is asked and driven, shape (K, 3) -> (N, 3)."""
-        config, poses = self.config, np.array(way)
+    def in_steps(self, path: FloatArray) -> FloatArray:
+        """A path in the steps in which it is asked and driven, shape (K, 3) -> (N, 3)."""
+        config, poses = self.config, np.array(path)
         if config.turning_radius == 0.0:
             poses = drive_graph.points_along(poses, config.reverse, self.grid[2], self.grid[3])
         return poses
 
-    def finished(self, way: FloatArray, goal: int, method: str, reason: str = "") -> BasePath:
-        """A way as the caller gets it: in the steps in which it was asked, each with its stance."""
-        poses = self.in_steps(way)
+    def finished(self, path: FloatArray, goal: int, method: str, reason: str = "") -> BasePath:
+        """Path as the caller gets it: in the steps in which it was asked, each with its stance."""
+        poses = self.in_steps(path)
         poses[:, 2] = np.unwrap(poses[:, 2])
-        length = float(np.hypot(*np.diff(way[:, :2], axis=0).T).sum())
+        length = float(np.hypot(*np.diff(path[:, :2], axis=0).T).sum())
         stances = standing_on(poses, self.vehicle.stances(self.terrain, poses).T_map_base)
         return BasePath(poses, stances, length, not reason, reason, goal, method)
 
     def nowhere(self, reason: str) -> BasePath:
-        """No way at all."""
+        """No path at all."""
         return BasePath(np.zeros((0, 3)), np.zeros((0, 4, 4)), 0.0, False, reason, -1, "nothing")
 
 
@@ -285,7 +272,7 @@ def apart(places: FloatArray, place: FloatArray) -> FloatArray:
 
 
 def standing_on(poses: FloatArray, stances: FloatArray) -> FloatArray:
-    """Stances with those that are not known taken from their nearest neighbors on the way.
+    """Stances with those that are not known taken from their nearest neighbors on the path.
 
     A robot that leaves a place where it should not stand may come by ground that the map does not
     know. Where no stance is known the ground counts as level, at height zero.

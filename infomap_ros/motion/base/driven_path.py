@@ -26,6 +26,8 @@ from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.motion.base.drive_graph import legs_of
 from infomap_ros.motion.base.drive_space import DriveSpace, Links, state_of
 
+REACH = 1.0
+"""Longest motion by which OMPL's trees grow [m]."""
 _SEED = 1
 _TREES = 2  # searches by RRT-Connect, each within what the best path so far leaves
 _SHORTCUTS = 150  # attempts of the simplifier; with twice as many paths cost 0.2 % less
@@ -54,8 +56,8 @@ class DriveValidator(ob.MotionValidator):  # type: ignore[misc]
 
     def checkMotion(self, first: Any, last: Any) -> bool:
         """Whether the motion from one state to another is good."""
-        way = self._links.join(_place_of(first), _place_of(last))
-        return self._space.fault_on(way, steps=2) is None
+        motion = self._links.join(_place_of(first), _place_of(last))
+        return self._space.fault_on(motion, steps=2) is None
 
 
 class DriveObjective(ob.OptimizationObjective):  # type: ignore[misc]
@@ -109,36 +111,36 @@ class DrivenPath:
     def __init__(self, space: DriveSpace, links: Links) -> None:
         self._space, self._links = space, links
 
-    def better_than(self, way: FloatArray, samples: int) -> FloatArray | None:
+    def better_than(self, path: FloatArray, samples: int) -> FloatArray | None:
         """A path with the ends of another one that costs less, or None.
 
         It turns no more than the other one and costs less with stops and without, so that it takes
         no longer, whatever time a turn takes from what it costs upwards.
 
         Args:
-            way: a path of the lattice, shape (K, 3).
+            path: a path of the lattice, shape (K, 3).
             samples: random places that RRT-Connect may try.
 
         Returns:
             Shape (N, 3), every stance on it good.
         """
-        if len(way) < 2 or self._space.fault_on(way) is not None:
+        if len(path) < 2 or self._space.fault_on(path) is not None:
             return None
         util.RNG.setSeed(_SEED)
-        best, known = None, self._effort(way)
+        best, known = None, self._effort(path)
         cost, price = known.cost - _LEAST_GAIN, known.price - _LEAST_GAIN
         left = iter(range(samples))
         for attempt in range(_TREES + 1):
-            search = _Search(self._space, self._links, (way[0], way[-1]), min(cost, price))
-            found = search.shortened(way) if attempt == 0 else search.planned(left)
+            search = _Search(self._space, self._links, (path[0], path[-1]), min(cost, price))
+            found = search.shortened(path) if attempt == 0 else search.planned(left)
             if found is None:
                 continue
             places = self._thinned(found)
-            path, effort = self._joined(places), self._effort(places)
+            joined, effort = self._joined(places), self._effort(places)
             is_better = effort.cost < cost and effort.price < price
             turns_more = effort.turning > known.turning + _SAME_TURNING
-            if is_better and not turns_more and self._space.fault_on(path) is None:
-                best, price = path, effort.price
+            if is_better and not turns_more and self._space.fault_on(joined) is None:
+                best, price = joined, effort.price
         return best
 
     def _thinned(self, places: FloatArray) -> FloatArray:
@@ -191,7 +193,7 @@ class _Search:
     def __init__(
         self, space: DriveSpace, links: Links, ends: tuple[FloatArray, FloatArray], bound: float
     ) -> None:
-        self._ends, self._reach = ends, space.config.reach
+        self._ends, self._reach = ends, REACH
         self._states = links.state_space()
         self._states.setBounds(_bounds(space, ends, bound))
         self._information = ob.SpaceInformation(self._states)
@@ -201,9 +203,9 @@ class _Search:
         self._information.setup()
         self._objective = DriveObjective(self._information, links)
 
-    def shortened(self, way: FloatArray) -> FloatArray:
+    def shortened(self, path: FloatArray) -> FloatArray:
         """A path made shorter: places on it are linked at random where that lowers the cost."""
-        states = [state_of(self._states, place) for place in way]
+        states = [state_of(self._states, place) for place in path]
         return self._simplified(og.PathGeometric(self._information, states))
 
     def planned(self, samples: Iterator[int]) -> FloatArray | None:

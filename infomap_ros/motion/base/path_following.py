@@ -157,11 +157,11 @@ def split_path(poses: FloatArray) -> list[FloatArray]:
             last = 0.0
             continue
         heading = begin[2] + 0.5 * wrap(end[2] - begin[2])
-        way = 1.0 if step @ np.array([np.cos(heading), np.sin(heading)]) >= 0.0 else -1.0
-        if way != last and len(pieces[-1]) > 1:
+        sign = 1.0 if step @ np.array([np.cos(heading), np.sin(heading)]) >= 0.0 else -1.0
+        if sign != last and len(pieces[-1]) > 1:
             pieces.append([pieces[-1][-1]])
         pieces[-1].append(end)
-        last = way
+        last = sign
     return [np.array(piece) for piece in pieces]
 
 
@@ -195,7 +195,7 @@ def _split(path: FloatArray) -> list[_Leg]:
 
 
 def _aim(points: FloatArray, place: FloatArray, look_ahead: float) -> tuple[float, FloatArray]:
-    """Way that is left beyond the look-ahead point [m], 0 at the end, and that point.
+    """Distance left beyond the look-ahead point [m], 0 at the end, and that point.
 
     Beyond the end it is on the last part's straight continuation: who aims at an end nearby turns
     to and fro for every centimeter that a slip has put it beside.
@@ -288,8 +288,8 @@ class PathDriving:
             self.problem = f"the base is stuck at x {pose[0]:.2f}, y {pose[1]:.2f}"
 
     def _has_moved(self, change: FloatArray) -> bool:
-        way, turn = float(np.linalg.norm(change[:2])), abs(wrap(float(change[2])))
-        return way > _PROGRESS[0] or turn > _PROGRESS[1]
+        distance, turn = float(np.linalg.norm(change[:2])), abs(wrap(float(change[2])))
+        return distance > _PROGRESS[0] or turn > _PROGRESS[1]
 
 
 def _towards(value: float, wanted: float, change: float) -> float:

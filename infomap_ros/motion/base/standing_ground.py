@@ -18,7 +18,7 @@ from infomap_ros.geometry import Cylinder, PlacedSolid, check_transform, make_tr
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.mapping.terrain.measures import largest_steps
-from infomap_ros.mapping.terrain.terrain import Terrain, TerrainConfig, terrain_of
+from infomap_ros.mapping.terrain.terrain import Terrain, terrain_of
 from infomap_ros.motion.base.vehicle import Vehicle
 from infomap_ros.motion.robot.robot_model import RobotModel
 from infomap_ros.motion.robot.solid_extent import camera_heights, robot_bottom
@@ -53,7 +53,6 @@ def with_standing_ground(
 
 def known_ground(
     voxel_map: VoxelMap,
-    config: TerrainConfig,
     vehicle: Vehicle,
     T_map_base: FloatArray,
     start: ClearStart | None,
@@ -63,13 +62,12 @@ def known_ground(
 
     Args:
         voxel_map: what is known.
-        config: of the terrain.
         vehicle: the robot, its joints as they are when it drives.
         T_map_base: where it stands, shape (4, 4).
         start: the space that was declared clear.
         reach: how far around the body the ground is known [m].
     """
-    terrain = terrain_of(voxel_map, config, T_map_base[:3, 3])
+    terrain = terrain_of(voxel_map, T_map_base[:3, 3])
     began = [] if start is None else [(start.T_map_base, start.reach(vehicle))]
     return _with_places(terrain, vehicle, [*began, (T_map_base, reach)])
 

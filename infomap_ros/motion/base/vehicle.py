@@ -83,16 +83,6 @@ class VehicleConfig:
         low=0.0,
         high=1.0,
     )
-    margin_sigmas: float = setting(
-        2.0,
-        "So many standard deviations of where it is are added to the margin to the sides, in "
-        "squares.",
-        low=0.0,
-        high=10.0,
-    )
-    max_margin: float = setting(
-        0.08, "The margin to the sides grows no further than this.", unit="m", low=0.0, high=1.0
-    )
     seen_height: float = parameter(
         0.8,
         "Space over known ground must have been seen up to this height, if the body is so high, "
@@ -241,7 +231,7 @@ class Vehicle:
         return Vehicle.from_robot(self.robot, config, self.joint_positions)
 
     @cached_property
-    def under_way(self) -> Vehicle:
+    def while_driving(self) -> Vehicle:
         """The same vehicle as the check of a route takes it: what was planned stays good enough.
 
         Its body is no larger than it is, ground may be rougher by its noise, a step as high as a

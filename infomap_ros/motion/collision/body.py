@@ -64,16 +64,6 @@ class CollisionConfig:
         low=0.0005,
         high=0.5,
     )
-    margin_sigmas: float = setting(
-        2.0,
-        "So many standard deviations of where the robot is are added to the margin against the "
-        "map, in squares.",
-        low=0.0,
-        high=10.0,
-    )
-    max_margin: float = setting(
-        0.03, "The margin against the map grows no further than this.", unit="m", low=0.0, high=1.0
-    )
     free_probability: ClassVar[float] = 0.05
     """The arm may enter voxels that are less likely occupied than this: what is free for the choice
     of views, after two looks of the map's default model.
@@ -92,7 +82,6 @@ class CollisionConfig:
     configurations although the links do not touch, their distance is adapted until they mostly do
     not.
     """
-    samples: int = setting(500, "Number of random configurations for both.", low=50, high=100000)
     allowed_contacts: tuple[str, ...] = parameter(
         (), "Pairs of links (patterns) that may touch, as 'first:second'."
     )
@@ -105,6 +94,7 @@ class CollisionConfig:
 
 
 _CELLS = 4000
+_SAMPLES = 500  # random configurations from which is learnt which links touch
 _GROWTH = 1.25
 _SHARE = 0.5  # a cell's half diagonal in radii of the sphere about its center
 _SLACK = 1e-7  # [m]; for what the extent of a polytope and rounding leave open
@@ -272,7 +262,7 @@ class CollisionBody:
         tree, links = LinkTree.of(robot, joint_positions), robot.links_with_solids
         pairs = movable_pairs(robot, tree)
         pairs = pairs[~allowed_pairs(links, pairs, settings.allowed_contacts)]
-        qs = configurations(robot, settings.samples)
+        qs = configurations(robot, _SAMPLES)
         shapes = TrueShapes(robot, tree, qs)
         tolerances = np.full(len(links), settings.tolerance)
         covers: dict[tuple[str, float], FloatArray] = {}
@@ -321,7 +311,7 @@ class CollisionBody:
 
     @cached_property
     def kept(self) -> FloatArray:
-        """Part of each pair's gap that may be lost between two checks of a way, shape (P,) [m].
+        """Part of each pair's gap that may be lost between two checks of a segment, shape (P,) [m].
 
         All of the margin, but little where the gap was adapted to what the true shapes allow.
         """
@@ -330,7 +320,7 @@ class CollisionBody:
 
     @cached_property
     def pair_reach(self) -> FloatArray:
-        """Bound of the way of any point of one link of a pair against the other.
+        """Bound of the motion of any point of one link of a pair against the other.
 
         Per unit of each of the arm's positions, shape (P, n) [m/rad or 1]; joints that move both
         links alike do not count.
@@ -424,7 +414,7 @@ def _ball(cover: FloatArray) -> FloatArray:
 
 
 def _reach(robot: RobotModel, tree: LinkTree, body: int, cover: FloatArray) -> FloatArray:
-    """Bound of the way of any point of a link, per unit of each position, shape (n,)."""
+    """Bound of the motion of any point of a link, per unit of each position, shape (n,)."""
     chain, arrays = robot.arm, tree.arrays
     reach = np.zeros(len(chain))
     off_axis = float((np.linalg.norm(cover[:, :2], axis=1) + cover[:, 3]).max())

@@ -33,7 +33,7 @@ from infomap_ros.mapping import OccupancyThresholds, VoxelMap
 from infomap_ros.mapping.distance_field import DistanceField, distance_field
 from infomap_ros.motion.collision import kernels
 from infomap_ros.motion.collision.body import CollisionBody
-from infomap_ros.motion.collision.kernels import CLEAR, BodyArrays, MotionSpace, first_on_way
+from infomap_ros.motion.collision.kernels import CLEAR, BodyArrays, MotionSpace, first_on_segment
 
 _SLACK = 1e-6  # [m]
 
@@ -167,16 +167,16 @@ class CollisionChecker:
         starts = self.body.arrays.starts[:-1]
         return np.minimum(np.minimum.reduceat(found - kept - space.radii, starts), 0.0)
 
-    def contact_on_way(self, q_start: ArrayLike, q_goal: ArrayLike, T_map_base: ArrayLike) -> str:
-        """What is touched on the straight way between two configurations, in words, or empty.
+    def contact_between(self, q_start: ArrayLike, q_goal: ArrayLike, T_map_base: ArrayLike) -> str:
+        """What is touched on the segment between two configurations, in words, or empty.
 
-        All of the way is looked at.
+        All of it is looked at.
 
         Raises:
             InvalidInputError: malformed positions or pose.
         """
         first, second = (self.body.chain.check(q) for q in (q_start, q_goal))
-        share = first_on_way(self.space(T_map_base), first, second, self.body.scratch())
+        share = first_on_segment(self.space(T_map_base), first, second, self.body.scratch())
         if share < 0.0:
             return ""
         return self.contact(first + share * (second - first), T_map_base)
@@ -205,7 +205,7 @@ class NearSpace:
     At the start nothing is known, least of all around the arm, and unknown space counts as
     occupied. Three things let a robot move all the same, none of which takes anything for free
     that was seen to be occupied: the space that its body fills, and a little around it, is free;
-    so is what the user declares to be free; and a way may leave what the body touches at its start
+    so is what the user declares to be free; and a path may leave what the body touches at its start
     (`CollisionChecker.departure`). Voxels within the body are free even if something was seen
     there, as that can only have been the robot itself. And where the base is to stand, the planner
     of the base answers for the space that the foot of the arm fills, which hardly moves; where it
@@ -221,7 +221,7 @@ class NearSpace:
             link for larger than it is [m].
         known_free: further space that is free although it was never seen [map].
         foot: solids of the foot of the arm, base frame.
-        in_the_way: solids that must not be touched and that the map does not show [map].
+        obstacles: solids that must not be touched and that the map does not show [map].
         wider: what the arm keeps off the map beyond its margin [m].
     """
 
@@ -235,7 +235,7 @@ class NearSpace:
         clear_body: float,
         known_free: Sequence[PlacedSolid] = (),
         foot: Sequence[PlacedSolid] = (),
-        in_the_way: Sequence[PlacedSolid] = (),
+        obstacles: Sequence[PlacedSolid] = (),
         wider: float = 0.0,
     ) -> None:
         self._thresholds = OccupancyThresholds(body.config.free_probability)
@@ -260,9 +260,9 @@ class NearSpace:
             PlacedSolid(_grown(part.solid, reach), part.transform, part.name) for part in foot
         ]
         self._known_free = (*known_free, *own)
-        self._in_the_way = [
+        self._obstacles = [
             PlacedSolid(_grown(part.solid, half_diagonal), part.transform, part.name)
-            for part in in_the_way
+            for part in obstacles
         ]
         self._base, self._q = T_map_base, body.chain.positions(positions)
         self._own_points = body.spheres(self._q, T_map_base)[:, :3]
@@ -297,7 +297,7 @@ class NearSpace:
                 solid for solid in (*self._known_free, *feet) if _touches_box(solid, low, high)
             ],
             own_points=self._own_points,
-            in_the_way=[solid for solid in self._in_the_way if _touches_box(solid, low, high)],
+            obstacles=[solid for solid in self._obstacles if _touches_box(solid, low, high)],
         )
         return CollisionChecker(self._body, field, wider=self.wider)
 

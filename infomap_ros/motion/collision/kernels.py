@@ -3,11 +3,11 @@
 Poses are the upper three rows of a transform, shape (3, 4). A number >= 0 names what is touched,
 CLEAR is nothing.
 
-Whole ways are checked so that none of their points is left out. What is free at one configuration
-is free around it: a link that is a distance d from what it must not touch may go that far. The way
-of any point of a link has a bound per unit of each joint (`BodyArrays.reach`), so d tells what part
-of a straight way in joint space needs no further check. This is the idea of conservative
-advancement (Mirtich 1996), from the middle outwards (Schwarzer, Saha and Latombe 2005,
+Whole segments are checked so that none of their points is left out. What is free at one
+configuration is free around it: a link that is a distance d from what it must not touch may go that
+far. The motion of any point of a link has a bound per unit of each joint (`BodyArrays.reach`), so d
+tells what part of a segment in joint space needs no further check. This is the idea of
+conservative advancement (Mirtich 1996), from the middle outwards (Schwarzer, Saha and Latombe 2005,
 doi:10.1109/TRO.2004.838012).
 """
 
@@ -36,7 +36,7 @@ class BodyArrays(NamedTuple):
         starts: link l has the spheres [starts[l], starts[l + 1]), shape (L + 1,).
         spheres: center in the body's frame and radius, shape (S, 4) [m].
         pairs: links that must not touch each other, shape (P, 2).
-        reach: bound of the way of any point of a link, per unit of each of the arm's positions,
+        reach: bound of the motion of any point of a link, per unit of each of the arm's positions,
             shape (L, n) [m/rad or 1].
     """
 
@@ -58,9 +58,9 @@ class MotionSpace(NamedTuple):
         links: links that are checked against the map, shape (M,).
         radii: radii of the spheres against the map, within the balls of `body`, shape (S,) [m].
         gaps: distance that the links of each pair keep from each other, shape (P,) [m].
-        kept: part of these gaps that may be lost between two checks of a way, shape (P,) [m].
-        pair_reach: bound of the way of any point of one link of a pair against the other, per unit
-            of each of the arm's positions, shape (P, n) [m/rad or 1].
+        kept: part of these gaps that may be lost between two checks of a segment, shape (P,) [m].
+        pair_reach: bound of the motion of any point of one link of a pair against the other, per
+            unit of each of the arm's positions, shape (P, n) [m/rad or 1].
         margin: what the spheres are grown by against the map [m].
         T_map_base: shape (3, 4).
     """
@@ -232,8 +232,8 @@ _FARTHEST = 0.1  # [m]; distances beyond the margin are measured up to here
 
 
 @njit(cache=True, nogil=True)
-def first_on_way(space: Any, first: Any, second: Any, places: Any) -> float:
-    """Share of the straight way between two configurations at which something is touched, or -1.
+def first_on_segment(space: Any, first: Any, second: Any, places: Any) -> float:
+    """Share of the segment between two configurations at which something is touched, or -1.
 
     Checks the ends, then the middles of what is not yet known to be free, coarse before fine.
 
@@ -271,7 +271,7 @@ def first_on_way(space: Any, first: Any, second: Any, places: Any) -> float:
 
 @njit(cache=True, nogil=True)
 def _rates(reach: Any, first: Any, second: Any) -> Any:
-    """Bound of the way of any point of each link, or of a link against another one, [m]."""
+    """Bound of the motion of any point of each link, or of a link against another one, [m]."""
     rates = np.zeros(len(reach))
     for link in range(len(reach)):
         for j in range(len(first)):
@@ -281,7 +281,7 @@ def _rates(reach: Any, first: Any, second: Any) -> Any:
 
 @njit(cache=True, nogil=True)
 def _free_share(space: Any, rates: Any, q: Any, wanted: float, places: Any) -> float:
-    """Share of the way that is free before and behind a configuration, at most about `wanted`.
+    """Share of the segment that is free before and behind a configuration, at most about `wanted`.
 
     -1 where it is not free. How far beyond `wanted` it is free costs time and is not asked.
     """

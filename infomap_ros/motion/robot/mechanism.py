@@ -221,8 +221,8 @@ def chain_between(
             `held` is not finite or is that of an unknown joint.
     """
     model = mechanism.model
-    way = list(_way(model, base, camera))
-    between = list(dict.fromkeys(mechanism.owner_of(index) for index, _ in way))
+    signed_joints = list(_signed_joints(model, base, camera))
+    between = list(dict.fromkeys(mechanism.owner_of(index) for index, _ in signed_joints))
     moving = [index for index in between if not joints or str(model.names[index]) in joints]
     names = tuple(str(model.names[index]) for index in moving)
     for name in joints:
@@ -231,7 +231,7 @@ def chain_between(
                 f"joint '{name}' does not move the camera against the base; these do: "
                 + (", ".join(str(model.names[index]) for index in between) or "none")
             )
-    rows, tail = _rows(mechanism, (base, camera), way, moving, held)
+    rows, tail = _rows(mechanism, (base, camera), signed_joints, moving, held)
     limits = [mechanism.limits_of(index) for index in moving]
     return KinematicChain(
         joint_names=names,
@@ -244,7 +244,7 @@ def chain_between(
     )
 
 
-def _way(model: pinocchio.Model, base: int, camera: int) -> Iterator[tuple[int, int]]:
+def _signed_joints(model: pinocchio.Model, base: int, camera: int) -> Iterator[tuple[int, int]]:
     """Joints from the base to the camera: (index, 1), or (index, -1) from the far end."""
     up, down = (
         [int(index) for index in model.supports[model.frames[frame].parentJoint]]
@@ -258,7 +258,7 @@ def _way(model: pinocchio.Model, base: int, camera: int) -> Iterator[tuple[int, 
 def _rows(
     mechanism: Mechanism,
     ends: tuple[int, int],
-    way: list[tuple[int, int]],
+    signed_joints: list[tuple[int, int]],
     moving: list[int],
     held: Mapping[str, float],
 ) -> tuple[list[JointRow], FloatArray]:
@@ -269,7 +269,7 @@ def _rows(
     rows: list[JointRow] = []
     before, last = (homogeneous(model.frames[frame].placement) for frame in ends)
     before = invert_transform(before)
-    for index, sign in way:
+    for index, sign in signed_joints:
         if mechanism.owner_of(index) not in moving or mechanism.scaling_of(index)[0] == 0.0:
             pose = homogeneous(data.liMi[index])
             before = before @ (pose if sign > 0 else invert_transform(pose))

@@ -22,7 +22,12 @@ from typing import Any, ClassVar, TypeVar
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
 from rclpy.clock import Clock, ClockType
-from rclpy.event_handler import PublisherEventCallbacks, QoSPublisherMatchedInfo
+from rclpy.event_handler import (
+    PublisherEventCallbacks,
+    QoSLivelinessChangedInfo,
+    QoSPublisherMatchedInfo,
+    SubscriptionEventCallbacks,
+)
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -197,6 +202,7 @@ class MonitoredNode(LifecycleNode):
         *,
         required: bool = True,
         from_peer: bool = False,
+        on_lost: Callable[[], object] | None = None,
     ) -> Subscription:
         """Subscribe; arrivals are counted, errors of the library become counted drops.
 
@@ -207,6 +213,7 @@ class MonitoredNode(LifecycleNode):
             profile: quality of service, overridable by parameters.
             required: whether its absence is worth a warning.
             from_peer: whether other robots publish it; then see `guard_peer`.
+            on_lost: called when a publisher of an `alive` topic was killed or hangs.
         """
         name = self.resolve_topic_name(topic)
         profile = self._quality(profile)
@@ -235,9 +242,13 @@ class MonitoredNode(LifecycleNode):
             if self.lockstep is not None:
                 self.lockstep.used(name)
 
-        return self.create_subscription(
-            message_type, topic, receive, profile, qos_overriding_options=qos.overridable()
-        )
+        def on_liveliness(event: QoSLivelinessChangedInfo) -> None:
+            if on_lost is not None and event.not_alive_count_change > 0:
+                on_lost()
+
+        events = SubscriptionEventCallbacks(liveliness=on_liveliness) if on_lost else None
+        how = {"qos_overriding_options": qos.overridable(), "event_callbacks": events}
+        return self.create_subscription(message_type, topic, receive, profile, **how)
 
     def advertise(
         self,
@@ -280,7 +291,7 @@ class MonitoredNode(LifecycleNode):
         return any(worker.alive for worker in self._workers)
 
     def start_worker(self, capacity: int, last_job: float = 10.0) -> Worker:
-        """Start a thread for long work; jobs that give way are counted as drops.
+        """Start a thread for long work; jobs that are dropped are counted as drops.
 
         Args:
             capacity: number of jobs that may wait.

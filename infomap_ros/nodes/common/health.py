@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 
 STALE_AFTER = 5.0  # [s]
 WARNING_PERIOD = 5.0  # [s], between two log lines on the same reason
-_LONGEST_DETAIL = 500  # letters that are told of a drop
+_LONGEST_DETAIL = 500  # letters that are reported of a drop
 _MOST_JOINTS = 1000  # whose names are known
 _WINDOW = 50  # arrivals from which a rate is computed
 
@@ -83,7 +83,7 @@ class Health:
         self._notes: dict[str, str] = {}
         self._quiet_until: dict[str, float] = {}
         self._reported: Counter[str] = Counter()
-        self._told_missing = -WARNING_PERIOD
+        self._warned_missing = -WARNING_PERIOD
         self._condition = ""
         self._joints: dict[str, float] = {}
         self.needed_joints: Collection[str] = ()  # without which the node cannot work
@@ -101,17 +101,17 @@ class Health:
             stream.count += 1
             stream.has_stopped = False
 
-    def heard_of(self, joints: Iterable[str]) -> None:
-        """A joint state told of these."""
+    def note_joints(self, joints: Iterable[str]) -> None:
+        """A joint state has come with these."""
         with self._lock:
             if len(self._joints) > _MOST_JOINTS:
                 self._joints.clear()
             self._joints |= dict.fromkeys(joints, self._clock())
 
     def _silent_joints(self) -> list[str]:
-        """Joints that nothing was told of for long, while others go on."""
+        """Joints of which nothing has come for long, while others go on."""
         newest = max(self._joints.values(), default=0.0)
-        return [name for name, told in self._joints.items() if newest - told >= STALE_AFTER]
+        return [name for name, last in self._joints.items() if newest - last >= STALE_AFTER]
 
     def produced(self) -> None:
         """The node has made one of its results."""
@@ -175,10 +175,10 @@ class Health:
             stopped = [s for s in late if s.count and not s.has_stopped]
             for stream in stopped:
                 stream.has_stopped = True
-            if now < self._told_missing + WARNING_PERIOD:
+            if now < self._warned_missing + WARNING_PERIOD:
                 never = []
             elif never:
-                self._told_missing = now
+                self._warned_missing = now
         return never, [stream.topic for stream in stopped]
 
     def complaints(self) -> list[str]:
@@ -190,7 +190,7 @@ class Health:
             self._reported = self._drops.copy()
             condition = [self._condition] if self._condition else []
             silent = set(self._silent_joints()).intersection(self.needed_joints)
-            condition += [f"nothing is told of joint {name} any more" for name in sorted(silent)]
+            condition += [f"nothing comes of joint {name} any more" for name in sorted(silent)]
         dropped = [f"dropped {count}: {reason}" for reason, count in recent.items()]
         return condition + [text for text in found if text is not None] + dropped
 

@@ -35,7 +35,7 @@ _QUIET = 0.3  # [s] without a report, and
 _SETTLING = 1.0  # [s] with all, and publishers that have found their listeners
 _UNFOUND = 30.0  # [s] after which a listener is not found any more: it asks for another quality
 _LOG_PERIOD = 10.0  # [s]
-_LOST = 60.0  # [s] without news after which a message that nobody has used counts as lost
+_LOST = 60.0  # [s] without a report after which a message that nobody has used counts as lost
 
 
 @dataclass(frozen=True)
@@ -148,10 +148,10 @@ class LockstepConductor:
         self._own_name = node.get_fully_qualified_name()
         base = node.get_namespace().rstrip("/")
         self._names = {f"{base}/{name}" for name in names}
-        self._news = threading.Condition()
+        self._changed = threading.Condition()
         self._reported: dict[str, Mapping[str, int]] = {}
         self._base: dict[tuple[str, str], int] = {}
-        self._heard, self._complete = time.monotonic(), 0.0
+        self._last_report, self._complete = time.monotonic(), 0.0
         node.create_subscription(DiagnosticStatus, REPORTS, self._on_report, qos.stream(depth=500))
         self._publisher = node.create_publisher(Clock, TIME, qos.stream(depth=10))
 
@@ -164,7 +164,7 @@ class LockstepConductor:
         self._wait(lambda: self._names <= self._reported.keys())
         self._complete = time.monotonic()
         self._wait(self._is_quiet)
-        with self._news:
+        with self._changed:
             self._base = self._missing()
 
     def settle(self, stamp: int) -> None:
@@ -183,21 +183,21 @@ class LockstepConductor:
         return {**self._reported, self._own_name: self._own.counts()}
 
     def _on_report(self, message: DiagnosticStatus) -> None:
-        with self._news:
+        with self._changed:
             report = {pair.key: int(pair.value) for pair in message.values}
             if report == self._reported.get(message.name):
                 return
             self._reported[message.name] = report
-            self._heard = time.monotonic()
-            self._news.notify_all()
+            self._last_report = time.monotonic()
+            self._changed.notify_all()
 
     def _wait(self, condition: Callable[[], bool]) -> None:
-        told = time.monotonic()
-        with self._news:
+        logged = time.monotonic()
+        with self._changed:
             while not (self._stops() or condition()):
-                self._news.wait(0.05)
-                if time.monotonic() - told > _LOG_PERIOD:
-                    told = time.monotonic()
+                self._changed.wait(0.05)
+                if time.monotonic() - logged > _LOG_PERIOD:
+                    logged = time.monotonic()
                     self._node.get_logger().info(f"time waits for {self._waited_for()}")
 
     def _is_quiet(self) -> bool:
@@ -205,7 +205,7 @@ class LockstepConductor:
         passed = now - self._complete
         is_known = self._have_found_each_other() and self._have_used_what_is_latched()
         is_ready = passed > _UNFOUND or is_known
-        return now - self._heard > _QUIET and passed > _SETTLING and is_ready
+        return now - self._last_report > _QUIET and passed > _SETTLING and is_ready
 
     def _have_found_each_other(self) -> bool:
         """Whether each publisher has as many listeners as there are among the nodes."""
@@ -238,7 +238,7 @@ class LockstepConductor:
     def _is_settled_or_lost(self) -> bool:
         if self._is_settled():
             return True
-        if time.monotonic() - self._heard < _LOST:
+        if time.monotonic() - self._last_report < _LOST:
             return False
         self._node.get_logger().warning(f"counts as lost: {self._waited_for()}")
         self._base = self._missing()
@@ -283,10 +283,16 @@ class LockstepTime:
 
     def __init__(self, node: Node, reporter: LockstepReporter, runs: Callable[[], bool]) -> None:
         self._reporter, self._runs = reporter, runs
-        self._news = threading.Condition()
-        self._now, self._waited, self.is_over = 0, -1, False
+        self._changed = threading.Condition()
+        self._begin = self._now = 0
+        self._waited, self.is_over = -1, False
         reporter.waited_until = self._waited_until
         node.create_subscription(Clock, TIME, self._on_time, qos.stream(depth=10))
+
+    @property
+    def seconds(self) -> float:
+        """How long time has passed [s]."""
+        return 1e-9 * (self._now - self._begin)
 
     def wait_until(
         self, condition: Callable[[], bool], timeout: float, interrupted: Callable[[], bool]
@@ -307,24 +313,25 @@ class LockstepTime:
 
     def stop(self) -> None:
         """Let nobody wait any more."""
-        with self._news:
+        with self._changed:
             self.is_over = True
-            self._news.notify_all()
+            self._changed.notify_all()
 
     def _let_pass(self) -> None:
-        with self._news:
+        with self._changed:
             self._waited = before = self._now
         self._reporter.report()
-        with self._news:
-            self._news.wait_for(lambda: self._now > before or self.is_over)
+        with self._changed:
+            self._changed.wait_for(lambda: self._now > before or self.is_over)
             self._waited = -1
 
     def _waited_until(self) -> int | None:
         """Until when the thread has waited [ns]; -1 while it acts, None where there is none."""
-        with self._news:
+        with self._changed:
             return self._waited if self._runs() else None
 
     def _on_time(self, message: Clock) -> None:
-        with self._news:
+        with self._changed:
             self._now = message.clock.sec * 10**9 + message.clock.nanosec
-            self._news.notify_all()
+            self._begin = self._begin or self._now
+            self._changed.notify_all()

@@ -4,9 +4,9 @@
 imported: a ROS installation brings its own, and a second run finds the first one's. It generates
 each with the interface generators of ROS, compiles it (about half a minute on one core) and
 installs it into the virtual environment that runs it. The nodes work without them, but for tf
-(tf2_msgs), for the actions of robot_driver (control_msgs, nav2_msgs) and for OctoMap
-(octomap_msgs). The interfaces are those of ROS 2 Jazzy, and of each package those that this one
-uses.
+(tf2_msgs), for the actions of robot_driver (control_msgs, nav2_msgs), for detections of tags
+(apriltag_msgs) and for OctoMap (octomap_msgs). The interfaces are those of ROS 2 Jazzy, and of each
+package those that this one uses.
 """
 
 from __future__ import annotations
@@ -144,6 +144,28 @@ builtin_interfaces/Duration estimated_time_remaining
 int16 number_of_recoveries
 float32 distance_remaining
 int16 number_of_poses_remaining
+""",
+        },
+    ),
+    MessagePackage(
+        "apriltag_msgs",
+        "2.0.1",
+        ("std_msgs",),
+        {
+            "msg/Point.msg": "float64 x\nfloat64 y\n",
+            "msg/AprilTagDetection.msg": """\
+string family
+int32 id
+int32 hamming
+float32 goodness
+float32 decision_margin
+Point centre
+Point[4] corners
+float64[9] homography
+""",
+            "msg/AprilTagDetectionArray.msg": """\
+std_msgs/Header header
+AprilTagDetection[] detections
 """,
         },
     ),

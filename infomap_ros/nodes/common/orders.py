@@ -20,7 +20,7 @@ def offer_order(node: Node, name: str, worker: Worker, order: Callable[[], str])
     Args:
         node: that offers it.
         name: of the service.
-        worker: whose thread works; orders never give way to other jobs.
+        worker: whose thread works; orders never are dropped for other jobs.
         order: what to do; returns the answer, or raises an error of the library, which becomes
             the answer of a call without success.
     """
@@ -44,7 +44,7 @@ def offer_service(
         node: that offers it.
         service_type: ROS service class.
         name: of the service.
-        worker: whose thread works; requests never give way to other jobs.
+        worker: whose thread works; requests never are dropped for other jobs.
         answer: given request and response, which it fills; an error of the library goes into the
             log, and the response out as it is by then.
     """

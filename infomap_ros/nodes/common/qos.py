@@ -7,11 +7,20 @@ Each publisher and subscription may be overridden by the ROS parameters
 from __future__ import annotations
 
 from rclpy.duration import Duration
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSPolicyKind, QoSProfile, ReliabilityPolicy
+from rclpy.qos import (
+    DurabilityPolicy,
+    HistoryPolicy,
+    LivelinessPolicy,
+    QoSPolicyKind,
+    QoSProfile,
+    ReliabilityPolicy,
+)
 from rclpy.qos_overriding_options import QoSOverridingOptions
 
 _CURRENT = Duration(seconds=2)
 """Longer than a subscriber on a busy machine takes to fetch a sample."""
+_LEASE = Duration(seconds=1)
+"""Of a publisher's sign of life, which the middleware gives in a thread of its own."""
 _LONG = 1000  # messages; a node that plans for minutes is sent two a second
 
 
@@ -41,9 +50,19 @@ def current() -> QoSProfile:
     return profile
 
 
+def alive(profile: QoSProfile) -> QoSProfile:
+    """As `profile`; subscribers of the same quality notice a killed publisher within a second."""
+    profile.liveliness = LivelinessPolicy.AUTOMATIC
+    profile.liveliness_lease_duration = _LEASE
+    return profile
+
+
 def complete(profile: QoSProfile) -> QoSProfile:
     """As `profile`, with nothing lost: no message gives way to a newer one, or goes astray."""
-    return _newest(_LONG, ReliabilityPolicy.RELIABLE, profile.durability)
+    whole = _newest(_LONG, ReliabilityPolicy.RELIABLE, profile.durability)
+    whole.liveliness = profile.liveliness
+    whole.liveliness_lease_duration = profile.liveliness_lease_duration
+    return whole
 
 
 def _newest(depth: int, reliability: ReliabilityPolicy, durability: DurabilityPolicy) -> QoSProfile:

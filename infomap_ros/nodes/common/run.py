@@ -122,15 +122,15 @@ def prepare_kernels(node: Node, use: Callable[[], object], seconds: float) -> No
 
 
 class _FirstTime(Listener):
-    """Tells that a kernel is compiled: one that is in numba's cache causes no event."""
+    """Reports that a kernel is compiled: one that is in numba's cache causes no event."""
 
-    def __init__(self, tell: Callable[[], Any]) -> None:
-        self._tell, self._has_told = tell, False
+    def __init__(self, notify: Callable[[], Any]) -> None:
+        self._notify, self._has_notified = notify, False
 
     def on_start(self, event: Event) -> None:
-        if not self._has_told:
-            self._has_told = True
-            self._tell()
+        if not self._has_notified:
+            self._has_notified = True
+            self._notify()
 
     def on_end(self, event: Event) -> None:
         """Nothing is to be said."""

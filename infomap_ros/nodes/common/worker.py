@@ -28,7 +28,7 @@ class _Entry(NamedTuple):
     """A job that waits; `source` and `size` of one for a message of another robot."""
 
     job: Job
-    may_give_way: bool
+    replaceable: bool
     source: str = ""
     size: int = 0
 
@@ -39,7 +39,7 @@ class Worker:
     Args:
         name: of the thread.
         capacity: number of jobs that may wait; 1 means latest wins.
-        on_overflow: called in the submitting thread for each job that gave way.
+        on_overflow: called in the submitting thread for each job that was dropped.
         last_job: longest wait for the job at hand when it is stopped [s].
         on_rest: called in the worker's thread when no job is left.
 
@@ -79,32 +79,32 @@ class Worker:
             return len(self._waiting) + int(self._busy)
 
     def submit(self, job: Job) -> None:
-        """Queue a job; when the queue is full, all such jobs that wait give way.
+        """Queue a job; when the queue is full, all such jobs that wait are dropped.
 
         A queue absorbs a burst. Who lags behind for long would else do every job a whole queue too
         late, when nobody waits for the result any more.
         """
         with self._condition:
-            replaceable = sum(entry.may_give_way for entry in self._waiting)
-            gave_way = self._forget_replaceable() if replaceable >= self._capacity else 0
-            self._append(_Entry(job, may_give_way=True))
-        for _ in range(gave_way):
+            replaceable = sum(entry.replaceable for entry in self._waiting)
+            dropped = self._forget_replaceable() if replaceable >= self._capacity else 0
+            self._append(_Entry(job, replaceable=True))
+        for _ in range(dropped):
             self._on_overflow()
 
     def submit_always(self, job: Job) -> None:
-        """Queue a job that never gives way, for example an order of the user."""
+        """Queue a job that never is dropped, for example an order of the user."""
         with self._condition:
-            self._append(_Entry(job, may_give_way=False))
+            self._append(_Entry(job, replaceable=False))
 
     def submit_from(self, source: str, size: int, job: Job) -> None:
         """Queue a job for a message of another robot.
 
         Args:
-            source: which robot; where too much waits, the oldest job of who has most gives way.
+            source: which robot; where too much waits, the oldest job of who has most is dropped.
             size: of the message [bytes].
             job: what to do.
         """
-        gave_way = 0
+        dropped = 0
         with self._condition:
             self._append(_Entry(job, False, source, size + _JOB_BYTES))
             self._sizes[source] += size + _JOB_BYTES
@@ -113,8 +113,8 @@ class Worker:
                 oldest = next(entry for entry in self._waiting if entry.source == most)
                 self._waiting.remove(oldest)
                 self._forget(oldest)
-                gave_way += 1
-        for _ in range(gave_way):
+                dropped += 1
+        for _ in range(dropped):
             self._on_overflow()
 
     def _forget(self, entry: _Entry) -> None:
@@ -130,12 +130,12 @@ class Worker:
         self._condition.notify()
 
     def clear(self) -> int:
-        """Forget the waiting jobs that may give way; returns how many."""
+        """Forget the waiting jobs that are replaceable; returns how many."""
         with self._condition:
             return self._forget_replaceable()
 
     def _forget_replaceable(self) -> int:
-        kept = [entry for entry in self._waiting if not entry.may_give_way]
+        kept = [entry for entry in self._waiting if not entry.replaceable]
         forgotten = len(self._waiting) - len(kept)
         self._waiting = deque(kept)
         return forgotten

@@ -160,6 +160,11 @@ class _Motion:
         self.canceled = False
         self.culprit: ActionGoal | None = None  # the first that did not succeed
 
+    @property
+    def is_waiting(self) -> bool:
+        """Whether no goal was sent yet."""
+        return not self.goals
+
 
 class ActionMotions:
     """Carries out one motion at a time; a new one takes the place of the one before.
@@ -169,7 +174,8 @@ class ActionMotions:
     to replace; where a server refuses to, they are canceled.
 
     A driver that was killed leaves goals that run on and nobody knows: at the start, and whenever
-    something is to stop, the servers are asked to cancel all that they have.
+    something is to stop, the servers are asked to cancel all that they have. Servers need not take
+    such a request before a goal that is sent later: goals wait for its answer.
 
     Args:
         node: whose executor serves the clients.
@@ -185,6 +191,7 @@ class ActionMotions:
             name: node.create_client(CancelGoal, f"{name}/_action/cancel_goal") for name in actions
         }
         self._new = set(self._cancels)  # servers that nothing was asked of yet
+        self._asked: dict[Any, int] = {}  # requests to cancel all, and when they are given up
         node.repeat(_PERIOD, self._check)
 
     def start(self, order: Order, stages: Sequence[Sequence[GoalRequest]]) -> None:
@@ -212,7 +219,7 @@ class ActionMotions:
                 if goal.request.client not in clients:
                     goal.cancel(REPLACED)
         self._new.clear()  # servers replace what they have
-        self._send_next(self._motion)
+        self._begin()
 
     def stop(self, cause: str) -> None:
         """Cancel what runs; its order ends when the servers have confirmed.
@@ -228,6 +235,9 @@ class ActionMotions:
         for goal in goals:
             goal.cancel(cause)
         self._cancel_all(self._cancels)
+        if motion is not None and motion.is_waiting:
+            self._motion = None
+            motion.order.end(Outcome.CANCELED, cause)
 
     def _cancel_all(self, names: Iterable[str]) -> None:
         """Ask servers to cancel whatever they have, by a request without a goal's id."""
@@ -236,21 +246,34 @@ class ActionMotions:
             if client.service_is_ready():
                 self._new.discard(name)
                 future = client.call_async(CancelGoal.Request())
+                self._asked[future] = self._steady.now().nanoseconds + int(_ANSWER * _NANOSECONDS)
                 future.add_done_callback(partial(self._on_canceled, name))
 
     def _on_canceled(self, name: str, future: Any) -> None:
-        response, known = future.result(), self.is_active
+        response, known = future.result(), bool(self._running())
         if response.return_code == CancelGoal.Response.ERROR_REJECTED:
             self._log.error(f"{name} refuses to stop")
         elif response.goals_canceling and not known:
             count = len(response.goals_canceling)
             self._log.warning(f"{name}: {count} goals were running that this node has not sent")
+        self._asked.pop(future, None)
+        self._begin()
 
     @property
     def is_active(self) -> bool:
-        """Whether a goal has been sent that has not ended."""
-        running = [] if self._motion is None else self._motion.goals
-        return any(not goal.has_ended for goal in (*running, *self._replaced))
+        """Whether a motion has begun that has not ended."""
+        waits = self._motion is not None and self._motion.is_waiting
+        return waits or bool(self._running())
+
+    def _running(self) -> list[ActionGoal]:
+        """Goals that have been sent and not ended."""
+        goals = [] if self._motion is None else self._motion.goals
+        return [goal for goal in (*goals, *self._replaced) if not goal.has_ended]
+
+    def _begin(self) -> None:
+        """Send the first goals of a motion, once nothing that was asked could cancel them."""
+        if self._motion is not None and self._motion.is_waiting and not self._asked:
+            self._send_next(self._motion)
 
     def _send_next(self, motion: _Motion) -> None:
         stage = motion.stages.pop(0)
@@ -293,6 +316,8 @@ class ActionMotions:
     def _check(self) -> None:
         if self._motion is None:
             self._cancel_all(tuple(self._new))
-        running = [] if self._motion is None else self._motion.goals
-        for goal in (*running, *self._replaced):
+        now = self._steady.now().nanoseconds
+        self._asked = {future: due for future, due in self._asked.items() if due > now}
+        self._begin()
+        for goal in self._running():
             goal.check()

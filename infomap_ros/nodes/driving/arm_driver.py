@@ -40,6 +40,8 @@ from infomap_ros.nodes.robot.robot_tracker import RobotTrackerConfig
 _SLACK = 5.0  # [s] that a controller's result may come after its goal_time_tolerance
 _ARRIVED = 0.03  # [rad or m] that a joint without a result may be off its goal
 _MOVES = 0.01  # [rad/s or m/s] above which a joint moves
+# The arm has failed when it has not arrived so long after the end of its trajectory [s].
+_GOAL_TIME = 5.0
 _PERIOD = 0.1  # [s] between two looks at joints that move without a result
 _NANOSECONDS = 1_000_000_000
 
@@ -81,7 +83,7 @@ class JointListener:
 
     def _on_joints(self, message: JointState) -> None:
         record = decode_joint_state(message)
-        self._health.heard_of(record.names)
+        self._health.note_joints(record.names)
         for index, name in enumerate(record.names):
             position, before = float(record.positions[index]), self.positions.get(name)
             passed = (record.stamp - self._stamps.get(name, record.stamp)) / _NANOSECONDS
@@ -167,7 +169,7 @@ class _Actions:
     """The controllers' actions."""
 
     def __init__(self, node: MonitoredNode, controllers: Iterable[str]) -> None:
-        self._types, self._time = RclpyMessageTypes(), node.config(RobotDriverConfig).goal_time
+        self._types = RclpyMessageTypes()
         self._action = action_class(FOLLOW_JOINT_TRAJECTORY)
         self._clients = {
             name: ActionClient(node, self._action, action_of(name)) for name in controllers
@@ -187,9 +189,9 @@ class _Actions:
     def _request(self, part: ControllerTrajectory) -> GoalRequest:
         goal = self._action.Goal(
             trajectory=_message(self._types, part),
-            goal_time_tolerance=encode_duration(self._types, self._time),
+            goal_time_tolerance=encode_duration(self._types, _GOAL_TIME),
         )
-        limit = float(part.times[-1]) + self._time + _SLACK
+        limit = float(part.times[-1]) + _GOAL_TIME + _SLACK
         return GoalRequest(
             part.controller, self._clients[part.controller], goal, explain_trajectory, limit
         )
@@ -201,7 +203,7 @@ class _Topics:
     def __init__(
         self, node: MonitoredNode, controllers: Mapping[str, Sequence[str]], joints: JointListener
     ) -> None:
-        self._types, self._time = RclpyMessageTypes(), node.config(RobotDriverConfig).goal_time
+        self._types = RclpyMessageTypes()
         self._clock, self._joints = node.motion_clock, joints
         self._controllers = controllers
         self._publishers = {
@@ -264,7 +266,7 @@ class _Topics:
         worst = max(errors, key=errors.__getitem__)
         if errors[worst] <= _ARRIVED:
             self._finish(Outcome.SUCCEEDED, "")
-        elif late > self._time:
+        elif late > _GOAL_TIME:
             self._halt({part.controller: part.joints for part in self._parts})
             reason = f"'{worst}' is {errors[worst]:.3f} off its goal {late:.1f} s after the end"
             self._finish(Outcome.FAILED, reason)

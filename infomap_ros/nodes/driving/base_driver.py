@@ -246,7 +246,7 @@ class _Nav2:
 
     def _places(self, frame_id: str, poses: FloatArray) -> Any:
         stamped = encode_base_path(self._types, 0, frame_id, poses).poses
-        goal = self._action.Goal(behavior_tree=self._config.behavior_tree)
+        goal = self._action.Goal()
         if hasattr(goal.poses, "goals"):  # since ROS 2 Kilted
             goal.poses.goals, goal.poses.header.frame_id = stamped, frame_id
         else:

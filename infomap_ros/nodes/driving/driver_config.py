@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from infomap_ros.geometry.config import check_config, parameter, setting
+from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.motion.arm.controller_trajectories import read_controllers
 from infomap_ros.motion.base.path_following import PathFollowingConfig
 
@@ -31,13 +31,6 @@ class RobotDriverConfig:
         "Controllers of the arm with all their joints, one each, as 'arm_controller: "
         "shoulder_joint, elbow_joint'.",
     )
-    goal_time: float = setting(
-        5.0,
-        "The arm has failed when it has not arrived so long after the end of its trajectory.",
-        unit="s",
-        low=0.1,
-        high=600.0,
-    )
     base: str = parameter(
         "follow_path",
         "What drives the base: the actions follow_path or navigate_through_poses of Nav2, this "
@@ -47,9 +40,6 @@ class RobotDriverConfig:
     controller_id: str = parameter("", "Controller of follow_path; empty where Nav2 has one only.")
     goal_checker_id: str = parameter(
         "", "Goal checker of follow_path; empty where Nav2 has one only."
-    )
-    behavior_tree: str = setting(
-        "", "Behavior tree of navigate_through_poses; empty for Nav2's default."
     )
     max_speed: float = parameter(0.25, "Largest speed on cmd_vel.", unit="m/s", low=0.01, high=3.0)
     max_turn_rate: float = parameter(

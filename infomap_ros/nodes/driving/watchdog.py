@@ -1,7 +1,7 @@
 """Stops the robot when robot_driver is killed or hangs: a process that listens to a pipe.
 
 Goals of actions run on when their client is gone, and a base without a time-out of its own keeps
-its last velocity. What is heard of the driver is the pipe alone: when it ends without a farewell,
+its last velocity. What comes from the driver is the pipe alone: when it ends without a farewell,
 or nothing comes for a second while something moves, all goals of the action servers are canceled,
 zero is published as velocity, and arms that are driven by topics are told to slow down and stand.
 """
@@ -47,7 +47,7 @@ class Reach:
     Attributes:
         actions: names of action servers, with their namespaces.
         arms: joints of each controller that is driven by a topic of trajectories, by topic.
-        joint_states: topic that tells of these joints.
+        joint_states: topic that has these joints.
         velocities: topics of velocities, with their namespaces.
         is_stamped: whether velocities have a stamp.
         namespace: of the driver.
@@ -139,8 +139,8 @@ class _Brake(Node):
         with contextlib.suppress(MalformedMessageError):  # the next one will be read
             record = decode_joint_state(message)
             positions = dict(zip(record.names, record.positions, strict=True))
-            told = record.velocities
-            speeds = {} if told is None else dict(zip(record.names, told, strict=True))
+            velocities = record.velocities
+            speeds = {} if velocities is None else dict(zip(record.names, velocities, strict=True))
             for topic, joints in self._reach.arms.items():
                 if topic in self._moving and positions.keys() >= set(joints):
                     self._moving.remove(topic)
@@ -163,13 +163,13 @@ def _watch(brake: _Brake) -> None:
             brake.stop(f"has given no sign of life for {_PATIENCE:g} s")
             last = _RESTS  # once, until it moves something again
             continue
-        told = os.read(pipe, 4096)
-        if _FAREWELL in told:
+        received = os.read(pipe, 4096)
+        if _FAREWELL in received:
             return
-        if not told:
+        if not received:
             brake.stop("is gone")
             return
-        last = told[-1:]
+        last = received[-1:]
 
 
 def main() -> int:

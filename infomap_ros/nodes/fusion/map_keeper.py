@@ -27,9 +27,13 @@ from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.organized import fit_pinhole_camera
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.mapping.correction.correctable_map import CorrectableMap
-from infomap_ros.mapping.correction.reintegration import ReintegrationConfig
 from infomap_ros.mapping.correction.scan_store import ScanStoreConfig
-from infomap_ros.mapping.files.export import ProjectionConfig, project_map
+from infomap_ros.mapping.files.export import (
+    DistanceConfig,
+    ProjectionConfig,
+    obstacle_distances,
+    project_map,
+)
 from infomap_ros.mapping.scans.body import BodyFilterConfig
 from infomap_ros.messages import decode_point_cloud, encode_point_cloud
 from infomap_ros.messages.motions import KeyframePoses
@@ -75,6 +79,7 @@ def warm_up(threads: int) -> None:
     voxel_map_rows(trial)
     _warm_up_corrections(trial.config, cloud.points)
     project_map(trial, ProjectionConfig())
+    obstacle_distances(trial, DistanceConfig(margin=1.0))
 
 
 def _warm_up_corrections(config: VoxelMapConfig, points: NDArray[np.float32]) -> None:
@@ -89,7 +94,7 @@ def _warm_up_corrections(config: VoxelMapConfig, points: NDArray[np.float32]) ->
         correctable.integrate(0, cloud, np.eye(4), measured.covariance_triangles, None, camera)
     correctable.integrate(1, points.reshape(-1, 3), np.eye(4))
     for stamp, pose in enumerate((np.eye(4), elsewhere)):
-        correctable.hear(stamp + 2, [0, 1], [pose, pose])
+        correctable.receive_poses(stamp + 2, [0, 1], [pose, pose])
     correctable.correct()
 
 
@@ -138,11 +143,10 @@ class MapKeeper:
         self._is_saved, self._is_ours = True, False
         self._builder = MapBuilder(
             _tracked(VoxelMap(node.config(VoxelMapConfig))),
-            correction=node.config(ReintegrationConfig),
             body=node.config(BodyFilterConfig),
             assumed=node.config(AssumedPoseConfig),
         )
-        self._stamp, self._has_no_covariances = 0, False
+        self._stamp, self._without_covariances = 0, set[str]()
 
     @property
     def _map(self) -> VoxelMap:
@@ -171,17 +175,17 @@ class MapKeeper:
                 "the camera's pose has no covariance: default_position_sigma and "
                 "default_rotation_sigma stand in for it"
             )
-        if cloud.covariances is None and not self._has_no_covariances:
-            self._has_no_covariances = True
+        if cloud.covariances is None and cloud.frame_id not in self._without_covariances:
+            self._without_covariances.add(cloud.frame_id)
             sigma = self._map.config.default_sigma
             self._node.get_logger().warning(
-                f"points2 has no covariances: each point counts as right to {sigma} m "
-                "(default_sigma)"
+                f"points2 has no covariances in frame '{cloud.frame_id}': each point counts as "
+                f"right to {sigma} m (default_sigma)"
             )
         self._keep_scans_if_wanted()
         self._builder.fuse(scan.with_cloud(cloud))
         self._stamp = cloud.stamp
-        self._tell_change()
+        self._announce_change()
 
     def forget_body(self, body: BodyInScan) -> None:
         """Take a teammate's body, placed in the map, out of what was fused before it was known."""
@@ -189,7 +193,7 @@ class MapKeeper:
             self._node.get_logger().info(
                 f"took {forgotten} voxels of teammate {body.robot} out of the map"
             )
-            self._tell_change()
+            self._announce_change()
 
     @property
     def is_correcting(self) -> bool:
@@ -199,7 +203,13 @@ class MapKeeper:
     def add_keyframes(self, poses: KeyframePoses) -> None:
         """Take corrected poses, and begin to correct the map where scans belong elsewhere."""
         self._keep_scans_if_wanted()
+        origin = self._map.origin
         self._builder.add_keyframes(poses)
+        if self._map.origin != origin and origin:
+            self._node.get_logger().info(f"moved the map to the frame of origin {poses.origin:08x}")
+            self._announce_change()
+            if self._config.map_file:  # what would be read is of another frame
+                self.save_meanwhile()
 
     def correct_more(self) -> None:
         """Do a part of the correction; with the last one, publish what has become other.
@@ -215,7 +225,7 @@ class MapKeeper:
             f"moved {report.scans_moved} scans by up to {report.largest_correction:.3f} m, "
             f"{report.blocks_rebuilt} blocks made again"
         )
-        self._tell_change()
+        self._announce_change()
 
     @property
     def behind(self) -> bool:
@@ -283,7 +293,7 @@ class MapKeeper:
             self._node.get_logger().info(self._save())
 
     def save_meanwhile(self) -> None:
-        """Write the map as it is where that is news; a correction that has begun goes on after.
+        """Write the map as it is where it has changed; a correction that has begun goes on after.
 
         Raises:
             MapFileError: it cannot be written.
@@ -308,7 +318,7 @@ class MapKeeper:
         """
         shared = self.team.voxel_map
         if shared is None:
-            raise InvalidInputError("team", "no other robot was heard")
+            raise InvalidInputError("team", "no other robot has reported")
         shared.origin, shared.sessions = self._map.origin, self._map.sessions
         return _save(shared, team_map_file(self._path))
 
@@ -347,24 +357,24 @@ class MapKeeper:
         """
         count = self._builder.clear_region(low, high)
         if count:
-            self._tell_change()
+            self._announce_change()
         return f"cleared {count} occupied voxels"
 
-    def move(self, told: PoseRecord) -> str:
+    def move(self, given: PoseRecord) -> str:
         """Move what is in the map, voxel by voxel, and say so; scans move no more after that.
 
         Raises:
             InvalidInputError: the pose is none.
         """
-        moved = moved_map(self._map, told.transform)
+        moved = moved_map(self._map, given.transform)
         moved.origin, moved.sessions = self._map.origin, self._map.sessions
         self._replace_by(moved)
-        answer = f"moved {self._map.known_voxels} voxels {describe_move(told.transform)}"
+        answer = f"moved {self._map.known_voxels} voxels {describe_move(given.transform)}"
         self._node.get_logger().info(answer)
         return answer
 
-    def _tell_change(self) -> None:
-        """The map has changed: it is not saved, its pictures are old, and listeners are told."""
+    def _announce_change(self) -> None:
+        """The map has changed: it is not saved, its pictures are old, and listeners get it."""
         self._is_saved = False
         self.outputs.changed()
         self._updates.publish(self._map, self._stamp)
@@ -384,7 +394,7 @@ class MapKeeper:
 
 
 def _tracked(voxel_map: VoxelMap) -> VoxelMap:
-    """The map, whose changes are to be told."""
+    """The map, whose changes are to be published."""
     voxel_map.track_changes(True)
     return voxel_map
 

@@ -5,6 +5,8 @@ The content of a voxel map in the forms in which it is published.
 
 from __future__ import annotations
 
+import math
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -16,9 +18,14 @@ from numpy.typing import NDArray
 from rclpy.publisher import Publisher
 from sensor_msgs.msg import PointCloud2
 
-from infomap_ros.geometry.config import check_config, setting
 from infomap_ros.mapping import NOT_OBSERVED, VoxelChanges, VoxelMap
-from infomap_ros.mapping.files.export import ProjectionConfig, project_map, surface_vertices
+from infomap_ros.mapping.files.export import (
+    DistanceConfig,
+    ProjectionConfig,
+    obstacle_distances,
+    project_map,
+    surface_vertices,
+)
 from infomap_ros.mapping.files.octomap_file import binary_tree, full_tree
 from infomap_ros.messages import encode_cloud_fields, encode_occupancy_grid
 from infomap_ros.messages.encode import OCTOMAP, encode_octomap
@@ -28,6 +35,7 @@ from infomap_ros.nodes.common.message_types import RclpyMessageTypes, message_cl
 from infomap_ros.pipeline.scan_synchronizer import ScanSynchronizerConfig
 
 VOXEL_MAP_FIELDS = ("x", "y", "z", "probability", "sigma")
+DISTANCE_FIELDS = ("x", "y", "z", "intensity")  # as RViz, Voxblox and nvblox name a distance
 
 
 def voxel_map_rows(voxel_map: VoxelMap) -> NDArray[np.float32]:
@@ -56,37 +64,28 @@ VOXEL_MAP, PROJECTED_MAP = "voxel_map", "projected_map"
 OCTOMAP_BINARY, OCTOMAP_FULL = "octomap_binary", "octomap_full"
 
 
-@dataclass(frozen=True)
-class MapOutputsConfig:
-    """When pictures of the map are published.
-
-    Raises:
-        ConfigError: a value is out of its range.
-    """
-
-    voxel_map_period: float = setting(
-        1.0,
-        "Shortest time between two messages on voxel_map, projected_map, octomap_binary or "
-        "octomap_full.",
-        unit="s",
-        low=0.05,
-        high=3600.0,
-    )
-
-    def __post_init__(self) -> None:
-        check_config(self)
+_PERIOD = 1.0  # shortest between two messages of one picture [s]
+_PAUSE = 4.0  # distances take a fifth of the time of the thread that integrates scans, at most
 
 
 @dataclass(eq=False)
 class _Picture:
-    """A topic with what builds its message of a map and a stamp [ns]."""
+    """A topic with what builds its message of a map and a stamp [ns].
+
+    One that was built rests `pause` times as long, or until there is a new subscriber.
+    """
 
     publisher: Publisher
     build: Callable[[VoxelMap, int], Any]
+    pause: float = 0.0
     is_outdated: bool = True
+    rests_until: float = -math.inf
 
     def publish(self, voxel_map: VoxelMap, stamp: int) -> None:
+        begin = time.monotonic()
         self.publisher.publish(self.build(voxel_map, stamp))
+        end = time.monotonic()
+        self.rests_until = end + self.pause * (end - begin)
 
 
 class MapOutputs:
@@ -102,9 +101,9 @@ class MapOutputs:
 
     def __init__(self, node: MonitoredNode, on_wanted: Callable[[], object]) -> None:
         self._node, self._on_wanted = node, on_wanted
-        self._config = node.config(MapOutputsConfig)
         self._frame = node.config(ScanSynchronizerConfig).map_frame
         self._projection = node.config(ProjectionConfig)
+        self._distances = node.config(DistanceConfig)
         self._types = RclpyMessageTypes()
         self._pictures: dict[str, _Picture] = {}
         show_voxels, show_grid = (partial(self._show, name) for name in (VOXEL_MAP, PROJECTED_MAP))
@@ -112,6 +111,9 @@ class MapOutputs:
         grids = node.advertise(OccupancyGrid, "projected_map", qos.current(), show_grid)
         self._pictures[VOXEL_MAP] = _Picture(voxels, self._voxels)
         self._pictures[PROJECTED_MAP] = _Picture(grids, self._project)
+        for topic, band in (("distance_field", None), ("distance_slice", self._projection)):
+            rows = node.advertise(PointCloud2, topic, qos.current(), partial(self._show, topic))
+            self._pictures[topic] = _Picture(rows, partial(self._measure, band=band), _PAUSE)
         self.has_octomap = True
         try:
             kind = message_class(OCTOMAP)
@@ -126,7 +128,7 @@ class MapOutputs:
     @property
     def pictures_period(self) -> float:
         """Shortest time between two pictures [s]."""
-        return self._config.voxel_map_period
+        return _PERIOD
 
     def changed(self) -> None:
         """The map is another than in the last pictures."""
@@ -141,7 +143,9 @@ class MapOutputs:
         if not stamp and not voxel_map.known_voxels:
             return
         for topic, picture in self._pictures.items():
-            if picture.is_outdated and picture.publisher.get_subscription_count() > 0:
+            if not picture.is_outdated or time.monotonic() < picture.rests_until:
+                continue
+            if picture.publisher.get_subscription_count() > 0:
                 picture.is_outdated = False
                 self._node.guard(topic, partial(picture.publish, voxel_map, stamp))
 
@@ -157,6 +161,7 @@ class MapOutputs:
         """Somebody has subscribed."""
         if topic in self._pictures:
             self._pictures[topic].is_outdated = True
+            self._pictures[topic].rests_until = -math.inf
         self._on_wanted()
 
     def _voxels(self, voxel_map: VoxelMap, stamp: int) -> Any:
@@ -168,6 +173,10 @@ class MapOutputs:
         return encode_occupancy_grid(
             self._types, stamp, self._frame, grid.cells, grid.resolution, grid.origin
         )
+
+    def _measure(self, voxel_map: VoxelMap, stamp: int, band: ProjectionConfig | None) -> Any:
+        rows = obstacle_distances(voxel_map, self._distances, band)
+        return encode_cloud_fields(self._types, stamp, self._frame, DISTANCE_FIELDS, rows)
 
     def _octomap(self, voxel_map: VoxelMap, stamp: int, *, binary: bool) -> Any:
         tree = (binary_tree if binary else full_tree)(voxel_map)

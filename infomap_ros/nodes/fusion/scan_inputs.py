@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
@@ -16,7 +17,6 @@ from infomap_ros.geometry import (
     Record,
     TransformRecord,
     carry_covariance,
-    invert_transform,
 )
 from infomap_ros.geometry.joint_buffer import JointBufferConfig
 from infomap_ros.geometry.pose_buffer import PoseBufferConfig, TransformTree
@@ -47,127 +47,129 @@ _UNKNOWN = 50  # clouds, after which tf is not asked again where it does not pla
 
 
 class ScanPoses:
-    """Poses of the frame of the clouds; implements `scan_synchronizer.CameraPoseSource`.
+    """Poses of the sensors' frames; implements `scan_synchronizer.CameraPoseSource`.
 
-    While somebody tells camera_pose it alone counts: it has a covariance, and localization may
-    correct it. Else the pose is that of the clouds' frame in tf, whose covariance is unknown. Where
-    `camera_frame` names the frame of camera_pose, tf also tells where clouds of other frames were
-    taken. Where it does not, camera_pose counts as that of the clouds' frame, unless tf has that
-    frame turned another way: then clouds are refused.
+    While somebody publishes camera_pose it alone says where the robot is: it has a covariance, and
+    localization may correct it. Else the pose is that of a cloud's frame in tf, whose covariance is
+    unknown. Where `camera_frame` names the frame of camera_pose, tf also gives where clouds of
+    other frames were taken. Where it does not, clouds must be of one frame, and camera_pose counts
+    as that of it, unless tf has that frame turned another way.
 
     Args:
         node: that listens.
-        located: what camera_pose tells.
-        on_news: called when tf may have told what is waited for.
-
-    Attributes:
-        cloud_frame: frame of the last cloud.
+        located: poses of camera_pose.
+        on_change: called when tf may have what is waited for.
     """
 
     def __init__(
-        self, node: MonitoredNode, located: LocatedPoses, on_news: Callable[[], None]
+        self, node: MonitoredNode, located: LocatedPoses, on_change: Callable[[], None]
     ) -> None:
-        self._node, self._located, self._on_news = node, located, on_news
+        self._node, self._located, self._on_change = node, located, on_change
         self._camera_frame = node.config(ScanSynchronizerConfig).camera_frame
         self._tree = TransformTree(node.config(PoseBufferConfig))
         self._topic = node.resolve_topic_name(CAMERA_POSE)
-        self._was_told, self.cloud_frame, self._by_tf = False, "", ""
+        self._has_pose, self._by_tf = False, set[str]()
         self._compared, self._unknown = "", 0
         self._frames = FrameListener(node, self._on_edge)
         if node.lockstep is None:  # where camera_pose comes in time: no cloud is placed by tf
-            self._frames.hear_moving()
+            self._frames.listen_to_moving()
 
-    def look_from(self, frame: str) -> None:
-        """The clouds are of this frame."""
-        self.cloud_frame = frame
-        if self._is_told and frame in (self._camera_frame, self._compared):
+    @property
+    def places_frames(self) -> bool:
+        """Whether tf places clouds, or their frame in that of the camera."""
+        return bool(self._camera_frame) or not self._is_published
+
+    def look_from(self, frames: Collection[str]) -> None:
+        """Clouds come of these frames."""
+        if self._is_published and {self._camera_frame, self._compared}.issuperset(frames):
             self._frames.ignore_moving()
         else:
-            self._frames.hear_moving()
+            self._frames.listen_to_moving()
 
     def add(self, record: Record) -> None:
         """Take a pose of camera_pose; raises as `LocatedPoses.add`."""
         self._located.add(record)
-        self._was_told = True
+        self._has_pose = True
 
-    def at(self, stamp: int) -> PoseRecord:
-        """Pose of the clouds' frame in the map; see `PoseBuffer.at`."""
-        if not self._is_told:
-            return self._from_tf(stamp)
+    def at(self, stamp: int, frame: str) -> PoseRecord:
+        """Pose of a sensor's frame in the map; see `PoseBuffer.at`."""
+        if not self._is_published:
+            return self._from_tf(stamp, frame)
         pose = self._located.at(stamp)
         if not self._camera_frame:
-            self._compare(pose)
-        return pose if self._camera_frame in ("", self.cloud_frame) else self._of_cloud(pose)
+            self._compare(pose, frame)
+        return pose if self._camera_frame in ("", frame) else self._beside(pose, frame)
 
     def others_have_jumped(self, stamp: int) -> None:
-        """See `CameraPoseSource`; edges of tf notice a jump by their own stamps."""
+        """See `CameraPoseSource`."""
         self._located.others_have_jumped(stamp)
+        self._tree.others_have_jumped(stamp)
 
     @property
-    def _is_told(self) -> bool:
-        """Whether somebody tells camera_pose, and has begun to."""
-        return self._was_told and self._node.count_publishers(self._topic) > 0
+    def _is_published(self) -> bool:
+        """Whether somebody publishes camera_pose, and has begun to."""
+        return self._has_pose and self._node.count_publishers(self._topic) > 0
 
     def _on_edge(self, edge: TransformRecord) -> None:
         self._tree.add_transform(edge)
-        if not self._is_told:
-            self._on_news()
+        self._on_change()
 
-    def _from_tf(self, stamp: int) -> PoseRecord:
+    def _from_tf(self, stamp: int, frame: str) -> PoseRecord:
         try:
-            pose = self._place(self._located.map_frame, self.cloud_frame, stamp)
+            with _known(frame):
+                pose = self._tree.at(self._located.map_frame, frame, stamp)
         except PoseUnavailableError as error:
             text = f"nothing has come on {CAMERA_POSE}, and in tf: {error}"
             raise PoseUnavailableError(text, error.reason, error.may_arrive) from error
-        if self._by_tf != self.cloud_frame:
-            self._by_tf = self.cloud_frame
+        if frame not in self._by_tf:
+            self._by_tf.add(frame)
             self._node.get_logger().info(
-                f"nobody tells camera_pose: clouds are placed by tf, '{self._located.map_frame}' "
-                f"to '{self.cloud_frame}', with default_position_sigma and default_rotation_sigma"
+                f"without camera_pose clouds are placed by tf, '{self._located.map_frame}' "
+                f"to '{frame}', with default_position_sigma and default_rotation_sigma"
             )
             self._node.health.watch(self._topic, required=False)
         return replace(pose, covariance=None)  # also of a chain that never moves
 
-    def _compare(self, pose: PoseRecord) -> None:
-        """See that camera_pose is of the clouds' frame, as far as tf tells; once for a frame.
+    def _compare(self, pose: PoseRecord, frame: str) -> None:
+        """See that camera_pose is of the clouds' frame, as far as tf knows; once for a frame.
 
         Raises:
             PoseUnavailableError: tf has that frame turned another way.
         """
-        if self._compared == (frame := self.cloud_frame):
+        if self._compared == frame:
             return
         try:
-            told = self._tree.at(pose.frame_id, frame, pose.stamp).transform
+            by_tf = self._tree.at(pose.frame_id, frame, pose.stamp).transform
         except (FrameError, PoseUnavailableError):
             self._unknown += 1
             self._compared = frame if self._unknown > _UNKNOWN else ""
             return
-        cosine = 0.5 * (np.trace(pose.transform[:3, :3].T @ told[:3, :3]) - 1.0)
+        cosine = 0.5 * (np.trace(pose.transform[:3, :3].T @ by_tf[:3, :3]) - 1.0)
         if cosine < _COSINE:
             turn = f"turned by {np.degrees(np.arccos(max(cosine, -1.0))):.0f} degrees"
             text = f"{CAMERA_POSE} is {turn} from {frame} in tf: name its frame with camera_frame"
             raise PoseUnavailableError(text, WRONG_FRAME)
         self._compared = frame
 
-    def _of_cloud(self, pose: PoseRecord) -> PoseRecord:
-        """The pose of the clouds' frame, of that of the camera."""
-        root = self._tree.root_of(self.cloud_frame)
-        cloud, camera = (
-            self._place(root, frame, pose.stamp).transform
-            for frame in (self.cloud_frame, self._camera_frame)
-        )
-        return carried_pose(pose, invert_transform(camera) @ cloud)
-
-    def _place(self, target: str, frame: str, stamp: int) -> PoseRecord:
-        try:
-            return self._tree.at(target, frame, stamp)
-        except FrameError as error:
-            reason = f"frame {frame} unknown"
-            raise PoseUnavailableError(str(error), reason, may_arrive=True) from error
+    def _beside(self, pose: PoseRecord, frame: str) -> PoseRecord:
+        """The pose of a frame beside the camera, of the camera's."""
+        with _known(frame):
+            T_camera_frame = self._tree.between(self._camera_frame, frame, pose.stamp)
+        return carried_pose(pose, T_camera_frame, frame)
 
 
-def carried_pose(pose: PoseRecord, T_child_other: FloatArray) -> PoseRecord:
-    """The pose of a frame that is exactly known in the child frame of a pose."""
+@contextmanager
+def _known(frame: str) -> Iterator[None]:
+    """Where a frame is not in tf, it may still come."""
+    try:
+        yield
+    except FrameError as error:
+        reason = f"frame {frame} unknown"
+        raise PoseUnavailableError(str(error), reason, may_arrive=True) from error
+
+
+def carried_pose(pose: PoseRecord, T_child_other: FloatArray, other: str) -> PoseRecord:
+    """The pose of another frame that is exactly known in the child frame of a pose."""
     lever = pose.transform[:3, :3] @ T_child_other[:3, 3]
     known, parts = pose.covariance, pose.uncertainty
     if known is not None:
@@ -177,7 +179,8 @@ def carried_pose(pose: PoseRecord, T_child_other: FloatArray) -> PoseRecord:
         offset = carry_covariance(parts.offset, lever)
         parts = replace(parts, drift=drift, white=white, offset=offset)
     transform = pose.transform @ T_child_other
-    return replace(pose, transform=transform, covariance=known, uncertainty=parts)
+    placed = replace(pose, transform=transform, covariance=known, uncertainty=parts)
+    return replace(placed, child_frame_id=other)
 
 
 _UNCERTAINTY = "camera_pose_uncertainty"
@@ -190,7 +193,7 @@ class ScanInputs:
     Args:
         node: that listens; has the configurations of frames, poses, queue and bodies.
         on_scan: gets each complete scan, its cloud not yet decoded.
-        on_clock_jump: told when the clouds' clock has jumped back.
+        on_clock_jump: called when the clouds' clock has jumped back.
         on_arrival: gets the body of a teammate that is new or back, placed in the map.
     """
 
@@ -209,7 +212,7 @@ class ScanInputs:
         self._placed = ScanPoses(node, self._poses, self._take)
         body = self._body = RobotBody(
             config=node.config(JointBufferConfig),
-            are_joints_told=lambda: self._listener is None or self._listener.are_joints_told,
+            are_joints_sent=lambda: self._listener is None or self._listener.are_joints_sent,
             required=False,
         )
         self._unknown = ""
@@ -233,7 +236,7 @@ class ScanInputs:
     def _on_cloud(self, message: PointCloud2) -> None:
         stamp, frame = MessageFields(message, POINT_CLOUD).header()
         self._scans.add_cloud(stamp, frame, message)
-        self._placed.look_from(frame)
+        self._placed.look_from(self._scans.frames)
         if self._listener is not None:
             self._listener.look_from(frame)
         self._take()
@@ -254,9 +257,9 @@ class ScanInputs:
     def _take(self) -> None:
         for scan in self._scans.take():
             self._on_scan(scan)
-            self._tell_of_body()
+            self._report_body()
 
-    def _tell_of_body(self) -> None:
+    def _report_body(self) -> None:
         """Warn once of scans in which the robot itself may be."""
         unknown = self._body.unknown
         if unknown != self._unknown:

@@ -1,11 +1,11 @@
-"""The topic map_updates: this robot's contribution, told to others.
+"""The topic map_updates: this robot's contribution, sent to others.
 
 Each publication holds the voxels that changed since the last one. Who comes late needs the rest:
-when a subscriber appears, everything known is told again, a slice with each publication, so that
+when a subscriber appears, everything known is sent again, a slice with each publication, so that
 neither the network nor the subscriber's queue overflows. Values are absolute, so telling them again
 harms nobody.
 
-The robot's own nodes listen to map_updates. What it tells goes to
+The robot's own nodes listen to map_updates. What it sends goes to
 team/map_updates as well, unless both are one topic.
 """
 
@@ -38,7 +38,7 @@ _SLICE_BYTES = BLOCK_VOXELS * _VOXEL_BYTES
 
 
 class UpdateStream:
-    """Publishes map_updates. Used by one thread, but for the news of subscribers.
+    """Publishes map_updates. Used by one thread, but for the notice of subscribers.
 
     Args:
         node: that publishes.
@@ -52,12 +52,11 @@ class UpdateStream:
         self._version = version_at(time.time_ns())
         self._budget = Budget(self._sharing.bandwidth * 1e6)
         self._newcomer = False
-        self._next_block = 0
-        self._blocks_left = 0
+        self._origin = self._next_block = self._blocks_left = 0
         self._taken_back = np.empty((0, 3), np.int32)
         self.key = self._config.read_key()
         self._member: TeamMember | None = None
-        self._on_tell: Callable[[], None] = lambda: None
+        self._on_send: Callable[[], None] = lambda: None
         self._resumed = self._replaced = self._joined = False
         self.session = draw_session()
         how = qos.stream(depth=50), self._on_newcomer
@@ -85,14 +84,14 @@ class UpdateStream:
         """The map was read from a file as this robot left it."""
         self._resumed, self._replaced = True, False
 
-    def join(self, member: TeamMember, on_tell: Callable[[], None]) -> None:
-        """From now on tell what a team needs; from the start on, as nobody may have heard it.
+    def join(self, member: TeamMember, on_send: Callable[[], None]) -> None:
+        """From now on send what a team needs; from the start on, as nobody may have received it.
 
         Args:
-            member: chooses what is told, and knows the map of the team.
-            on_tell: called when something was told, which changes that map.
+            member: chooses what is sent, and knows the map of the team.
+            on_send: called when something was sent, which changes that map.
         """
-        self._member, self._on_tell = member, on_tell
+        self._member, self._on_send = member, on_send
         self._joined = True
 
     @property
@@ -101,26 +100,29 @@ class UpdateStream:
         if self._member is not None:
             return True
         waiting = self._newcomer or self._blocks_left > 0 or len(self._taken_back) > 0
-        return waiting and self._is_heard
+        return waiting and self._has_listeners
 
     def publish(self, voxel_map: VoxelMap, stamp: int, *, always: bool = True) -> None:
-        """Tell what changed and a slice of what others still wait for.
+        """Send what changed and a slice of what others still wait for.
 
-        While nobody listens nothing is told: who comes later gets all of it.
+        While nobody listens nothing is sent: who comes later gets all of it.
 
         Args:
             voxel_map: own contribution, which tracks its changes.
             stamp: of the messages [ns].
-            always: send an empty message if there is nothing to tell.
+            always: send an empty message if there is nothing to send.
         """
         if self._member is not None:
             self._publish_to_team(self._member, voxel_map, stamp, always)
             return
-        if not self._is_heard:
+        if not self._has_listeners:
             self._taken_back = self._taken_back[:0]
             self._newcomer = True
             voxel_map.track_changes(True)  # forgets the changes
             return
+        if voxel_map.origin != self._origin:  # listeners drop what was sent in another frame
+            self._origin, self._newcomer = voxel_map.origin, True
+            self._taken_back = self._taken_back[:0]
         budget = int(min(self._budget.available(time.monotonic()), MAX_MESSAGE_BYTES))
         self._take_back(voxel_map, budget // _VOXEL_BYTES, stamp)
         self._repeat(voxel_map, max(1, budget // _SLICE_BYTES))
@@ -129,13 +131,13 @@ class UpdateStream:
             self._send(changes, voxel_map.config.voxel_size, stamp)
 
     def replace(self, old: VoxelMap) -> None:
-        """From now on another map is told: take back what the `old` one had and that has not."""
+        """From now on another map is sent: take back what the `old` one had and that has not."""
         self._replaced = self._newcomer = True
         if self._member is None:
             self._taken_back = np.concatenate([self._taken_back, old.voxels()[0]])
 
     @property
-    def _is_heard(self) -> bool:
+    def _has_listeners(self) -> bool:
         if self._publisher.get_subscription_count() > 0:
             return True
         team = self._to_team
@@ -147,7 +149,7 @@ class UpdateStream:
     def _publish_to_team(
         self, member: TeamMember, voxel_map: VoxelMap, stamp: int, always: bool
     ) -> None:
-        """Tell what the team needs most, as far as the bandwidth allows."""
+        """Send what the team needs most, as far as the bandwidth allows."""
         if self._replaced:
             member.replace(voxel_map)
         elif self._joined and not self._resumed:
@@ -155,11 +157,11 @@ class UpdateStream:
         self._replaced = self._joined = False
         if self._newcomer:
             self._newcomer = False
-            member.tell_everything()
-        messages = member.tell(voxel_map, time.monotonic())
+            member.send_everything()
+        messages = member.updates(voxel_map, time.monotonic())
         self._version = member.version
         if messages:
-            self._on_tell()
+            self._on_send()
         if always and not messages:
             messages = [np.zeros(0, OCCUPANCY_ROW)]
         for rows in messages:
@@ -186,7 +188,8 @@ class UpdateStream:
 
     def _send(self, changes: VoxelChanges, voxel_size: float, stamp: int) -> None:
         self._version = next_version(self._version)
-        update = MapUpdate.of_changes(changes, voxel_size, self.robot, self._version, self.session)
+        who = self.robot, self._version, self.session, self._origin
+        update = MapUpdate.of_changes(changes, voxel_size, *who)
         parts = encode_update(update, self._sharing.message_size)
         self._budget.spend(sum(rows.nbytes for rows in parts))
         if self.key is not None:
@@ -195,7 +198,7 @@ class UpdateStream:
             self._publish(rows, stamp)
 
     def _publish(self, rows: NDArray[np.void], stamp: int) -> None:
-        """Tell the own nodes, and the team what is not empty."""
+        """Send the own nodes, and the team what is not empty."""
         message = encode_rows(self._types, stamp, self._frame, rows)
         self._publisher.publish(message)
         if self._to_team is not None and len(rows):

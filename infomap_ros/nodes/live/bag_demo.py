@@ -33,7 +33,7 @@ from infomap_ros.nodes.live.demo_command import run_demo_command, say_page
 from infomap_ros.nodes.live.live_graph import LiveGraph
 from infomap_ros.nodes.live.live_truth import PoseComparison
 from infomap_ros.replay.bags.reader import BagReader
-from infomap_ros.replay.mapping.map_files import (
+from infomap_ros.replay.map_files import (
     MAP_FILE,
     PLY_FILE,
     SUMMARY_FILE,

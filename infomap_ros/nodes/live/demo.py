@@ -40,7 +40,7 @@ from infomap_ros.nodes.live.kernels import PLANNING, SENSING, KernelProcess, com
 from infomap_ros.nodes.live.live_exploration import LiveExploration
 from infomap_ros.nodes.live.live_truth import LiveTruth, compare_with_truth, live_map_frame
 from infomap_ros.nodes.simulated.simulated_driver import simulated_driver
-from infomap_ros.replay.mapping.map_files import MAP_FILE, PLY_FILE
+from infomap_ros.replay.map_files import MAP_FILE, PLY_FILE
 from infomap_ros.simulation.exploring.truth import pose_errors
 from infomap_ros.simulation.robots.robot_file import RobotFile
 from infomap_ros.simulation.worlds.builder import World

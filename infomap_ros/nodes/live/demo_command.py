@@ -10,19 +10,24 @@ import json
 import shutil
 import signal
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 from rich.console import Console
 
 from infomap_ros.errors import InfomapError, ProcessError
 from infomap_ros.exploration.task import TaskConfig
 from infomap_ros.geometry.atomic_file import write_text
+from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.nodes.live.live_graph import RunState
-from infomap_ros.replay.mapping.map_files import SUMMARY_FILE
+from infomap_ros.replay.map_files import SUMMARY_FILE
+from infomap_ros.simulation.body.base_motion import level_pose
 from infomap_ros.simulation.exploring.exploration_run import task_in
+from infomap_ros.simulation.team_world import TeamStart
 from infomap_ros.simulation.worlds.builder import World
-from infomap_ros.simulation.worlds.scenes import make_world
+from infomap_ros.simulation.worlds.scenes import SCENES, make_world, without_target
 
 
 def _interrupt(number: int, frame: object) -> None:
@@ -88,13 +93,16 @@ def exploration_parser(
     return parser
 
 
-def demo_world(name: str, seed: int, size: float) -> World:
+def demo_world(name: str, seed: int, size: float, *, has_board: bool = True) -> World:
     """A world as the node simulator makes it; size 0 for its usual one [m].
 
     Raises:
         InvalidInputError: there is no such world.
     """
-    return make_world(name, seed, size=size) if size else make_world(name, seed)
+    given: dict[str, Any] = {"size": size} if size else {}
+    if not has_board and name in SCENES:
+        given |= without_target(name)
+    return make_world(name, seed, **given)
 
 
 def empty_folder(out: Path) -> None:
@@ -107,16 +115,30 @@ def empty_folder(out: Path) -> None:
     out.mkdir(parents=True)
 
 
-def task_parameters(world: World, limits: Mapping[str, object]) -> dict[str, object]:
+def task_parameters(
+    world: World, limits: Mapping[str, object], starts: Sequence[TeamStart] = ()
+) -> dict[str, object]:
     """Parameters of nodes that know the task: all of a world, seen from its target.
 
     Args:
         world: that is to be mapped.
         limits: further fields of `TaskConfig`, by name.
+        starts: of a team without a target: the region is that which all of them have about
+            themselves, so that it holds in the map of each.
     """
-    region = task_in(world, TaskConfig(), world.T_world_target)
-    told = {"region_low": list(region.region_low), "region_high": list(region.region_high)}
-    return {f"task.{name}": value for name, value in {**limits, **told}.items()}
+    frames = [world.T_world_target] if not starts else [_on_ground(world, one) for one in starts]
+    regions = [task_in(world, TaskConfig(), frame) for frame in frames]
+    low = np.min([region.region_low for region in regions], axis=0)
+    high = np.max([region.region_high for region in regions], axis=0)
+    corners = {"region_low": low.tolist(), "region_high": high.tolist()}
+    return {f"task.{name}": value for name, value in {**limits, **corners}.items()}
+
+
+def _on_ground(world: World, start: TeamStart) -> FloatArray:
+    """Pose of a base at its start, about, shape (4, 4)."""
+    x, y, yaw = start.place
+    level = float(world.terrain.height(np.array([[x, y]]))[0])
+    return level_pose((x, y, level), yaw)
 
 
 def status_line(figures: Mapping[str, str], name: str = "") -> str:

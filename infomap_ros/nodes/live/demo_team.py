@@ -1,9 +1,10 @@
 """``make demo-team``: two simulated rovers map one world together, twelve processes over DDS.
 
 A share of what they tell each other is lost, and the second rover's processes are killed midway and
-started again. Leaves the map of the team as .ply, each robot's files, summary.json and a
-self-contained report.html in the output folder. Exits with 1 and one clear line when something
-failed, as when the robots do not end with the same map.
+started again. With ``--without-board`` they have no common target: each begins its own map, and
+they look for each other by tags on their bodies. Leaves the map of the team as .ply, each robot's
+files, summary.json and a self-contained report.html in the output folder. Exits with 1 and one
+clear line when something failed, as when the robots do not end with the same map.
 """
 
 from __future__ import annotations
@@ -36,11 +37,11 @@ from infomap_ros.nodes.live.demo_command import (
 )
 from infomap_ros.nodes.live.kernels import TEAM, compile_kernels
 from infomap_ros.nodes.live.live_exploration import LOG_FILE, LiveTeam
-from infomap_ros.nodes.live.live_truth import LiveTruth, compare_with_truth
+from infomap_ros.nodes.live.live_truth import LiveTruth, compare_joint_map, compare_with_truth
 from infomap_ros.nodes.team.team_map import team_map_file
-from infomap_ros.replay.mapping.map_files import MAP_FILE, PLY_FILE
+from infomap_ros.replay.map_files import MAP_FILE, PLY_FILE
 from infomap_ros.simulation.exploring.truth import RunTruth
-from infomap_ros.simulation.multi_robot.team_world import team_starts
+from infomap_ros.simulation.team_world import ABREAST, APART, TeamStart, team_starts
 from infomap_ros.simulation.worlds.builder import World
 
 _ROBOTS = 2
@@ -56,10 +57,13 @@ def run_demo(options: argparse.Namespace, console: Console) -> dict[str, object]
     """
     out: Path = options.out
     empty_folder(out)
-    world = demo_world(options.world, options.seed, options.size)
+    has_board = not options.without_board
+    world = demo_world(options.world, options.seed, options.size, has_board=has_board)
+    starts = team_starts(world, _ROBOTS, ABREAST if has_board else APART)
     begin = time.monotonic()
     status = Status("compiling kernels", console=console)
-    run = LiveTeam(out, team_starts(world, _ROBOTS), _parameters(options, world), loss=options.loss)
+    given = _parameters(options, world, () if has_board else starts)
+    run = LiveTeam(out, starts, given, loss=options.loss, has_board=has_board)
     with run, status:
 
         def show() -> None:
@@ -92,9 +96,11 @@ def run_demo(options: argparse.Namespace, console: Console) -> dict[str, object]
     return results
 
 
-def _parameters(options: argparse.Namespace, world: World) -> dict[str, dict[str, object]]:
+def _parameters(
+    options: argparse.Namespace, world: World, starts: Sequence[TeamStart]
+) -> dict[str, dict[str, object]]:
     limits = {"max_views": options.max_views, "known_fraction": options.known_fraction}
-    task = task_parameters(world, limits)
+    task = task_parameters(world, limits, starts)
     return {
         "simulator": {
             "world": options.world,
@@ -153,7 +159,11 @@ def _write_results(
     out: Path = options.out
     shared = VoxelMap.load(team_map_file(run.folders[run.names[0]] / MAP_FILE))
     write_ply(shared, out / PLY_FILE)
-    truth = compare_with_truth(world, shared, observed)
+    if options.without_board:
+        truth, met = compare_joint_map(world, shared, observed)
+        results |= met
+    else:
+        truth = compare_with_truth(world, shared, observed)
     results |= truth.figures()
     write_summary(out, results)
     write_team_report(
@@ -176,6 +186,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--loss", type=float, default=0.2, help="share of the team's messages")
     parser.add_argument(
         "--kill-after", type=int, default=3, help="views of the second rover; 0: never"
+    )
+    parser.add_argument(
+        "--without-board",
+        action="store_true",
+        help="no common target: each rover begins its own map, tags on them join the maps",
     )
     parser.add_argument("--timeout", type=float, default=3600.0, help="[s]")
     options = parser.parse_args(arguments)

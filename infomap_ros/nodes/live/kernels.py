@@ -34,7 +34,7 @@ _POLL = 0.1  # [s]
 
 
 def _share() -> None:
-    """Two robots tell each other the same small map, and lose every third update."""
+    """Two robots send each other the same small map, and lose every third update."""
     config, sharing = VoxelMapConfig(voxel_size=0.05), TeamConfig(recovery=0.0)
     camera = PinholeCamera(32, 24, 30.0, 30.0, 15.5, 11.5)
     points = camera.back_project(np.full((24, 32), 1.0))
@@ -46,14 +46,14 @@ def _share() -> None:
         if now < 2.0:
             own_map.integrate(points, np.eye(4), covariances, 1e-6 * np.eye(6), camera)
         for me, other in (robots, robots[::-1]):
-            for rows in me.tell(own_map, now):
+            for rows in me.updates(own_map, now):
                 count += 1
                 if count % 3:
-                    other.hear_update(rows, now)
+                    other.receive_update(rows, now)
             for rows in me.digests(now):
-                other.hear_digest(rows, now)
+                other.receive_digest(rows, now)
             for rows in me.requests(now):
-                other.hear_request(rows, now)
+                other.receive_request(rows, now)
     for robot in robots:
         robot.replica.hash()
 
@@ -124,11 +124,11 @@ class KernelProcess:
         self._output.close()
 
 
-def compile_kernels(tell: Callable[[str], None], stages: Stages) -> None:
+def compile_kernels(report: Callable[[str], None], stages: Stages) -> None:
     """Compile what is not in the cache yet, the groups of a stage at the same time.
 
     Args:
-        tell: told each stage before it begins.
+        report: called with each stage before it begins.
         stages: of names in `STEPS`.
 
     Raises:
@@ -136,7 +136,7 @@ def compile_kernels(tell: Callable[[str], None], stages: Stages) -> None:
     """
     for number, groups in enumerate(stages, 1):
         names = " and ".join(", ".join(steps) for steps in groups)
-        tell(f"{number} of {len(stages)}, {names}")
+        report(f"{number} of {len(stages)}, {names}")
         with ExitStack() as stack:
             processes = [stack.enter_context(KernelProcess(steps)) for steps in groups]
             while [process for process in processes if not process.done]:

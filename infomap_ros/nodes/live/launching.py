@@ -127,7 +127,7 @@ ROBOT_ARGUMENTS = {
     ),
     "parameters": ("", "Parameter file of your own, which counts for more than all arguments."),
     "rviz": ("false", "Start RViz."),
-    "web": ("false", "Start web_viewer, a page in the browser; its log tells the address."),
+    "web": ("false", "Start web_viewer, a page in the browser; its address is in the log."),
 }
 _MOTION = ("odom", "joint_states")
 _TIME_TO_END = "20.0"

@@ -18,8 +18,10 @@ from diagnostic_msgs.msg import DiagnosticStatus
 
 from infomap_ros.errors import ProcessError
 from infomap_ros.exploration.view_planner_config import ViewPlannerConfig
+from infomap_ros.geometry.atomic_file import write_text
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.environment import reliable_inputs
+from infomap_ros.nodes.common.parameters import parameter_values
 from infomap_ros.nodes.live.live_graph import LiveGraph, NodeProcesses
 from infomap_ros.nodes.simulated.simulated_driver import (
     driven_simulator,
@@ -29,10 +31,11 @@ from infomap_ros.nodes.simulated.simulated_driver import (
     simulated_motion_noise,
 )
 from infomap_ros.nodes.team.team_topics import SHARED
-from infomap_ros.replay.mapping.map_files import MAP_FILE
+from infomap_ros.replay.map_files import MAP_FILE
+from infomap_ros.simulation.body.robot import find_description, read_description
 from infomap_ros.simulation.cameras.stereo_camera import DRAWN_FAST
 from infomap_ros.simulation.exploring.simulated_robot import IMAGE_RATE
-from infomap_ros.simulation.multi_robot.team_world import TeamStart
+from infomap_ros.simulation.team_world import TeamStart, rover_tags, with_plates
 
 MISSION_FILE, LOG_FILE, ROBOT_FILE = "mission.json", "exploration.jsonl", "robot.json"
 LOCALIZATION_FILE = "localization.infomap"
@@ -56,14 +59,15 @@ def robot_parameters(
     Args:
         out: folder of its files, an absolute path.
         namespace: of the robot.
-        localized: by fiducial_localization; else the simulator tells the camera's pose.
+        localized: by fiducial_localization; else the simulator publishes the camera's pose.
         lockstep: simulated time waits for the nodes, and the robot is driven by topics.
     """
 
     def reliable(*topics: str) -> dict[str, str]:
         return reliable_inputs(topics, namespace)
 
-    updates = reliable("map_updates", "camera_pose", "joint_states", "odom", *_IMAGES[1::2])
+    poses = "camera_pose", "camera_pose_uncertainty"
+    updates = reliable("map_updates", *poses, "joint_states", "odom", *_IMAGES[1::2])
     nodes: dict[str, dict[str, object]] = {
         "simulator": {
             "pace": 0.0,
@@ -117,7 +121,7 @@ class LiveExploration(LiveGraph):
     Args:
         out: folder for map, mission, log of the run and logs of the nodes.
         parameters: further parameters by node name; ``/**`` has those of all nodes.
-        localized: by fiducial_localization; else the simulator tells the camera's pose.
+        localized: by fiducial_localization; else the simulator publishes the camera's pose.
         lockstep: simulated time waits for the nodes.
 
     Attributes:
@@ -213,7 +217,12 @@ def robot_names(robots: int) -> tuple[str, ...]:
 
 
 def member_parameters(
-    names: Sequence[str], number: int, start: TeamStart, folder: Path
+    names: Sequence[str],
+    number: int,
+    start: TeamStart,
+    folder: Path,
+    *,
+    has_board: bool = True,
 ) -> dict[str, dict[str, object]]:
     """Parameters of the nodes of one robot of a simulated team, by node name.
 
@@ -221,7 +230,9 @@ def member_parameters(
         names: of all robots.
         number: of this one among them, from 0 on.
         start: where it starts.
-        folder: of its files, an absolute path.
+        folder: of its files, an absolute path; exists where there is no board.
+        has_board: whether the world has a board that gives the map its frame; else each robot
+            begins a map of its own, and tags on the robots align them.
     """
     name = names[number]
     nodes = robot_parameters(folder, f"/{name}")
@@ -236,7 +247,26 @@ def member_parameters(
     for node in _IN_TEAM:
         nodes[node] |= member
     nodes["next_best_view"]["start_clearance"] = min(_CLEARANCE, start.clearance)
+    if not has_board:
+        _know_each_other(nodes, names, number, folder)
     return nodes
+
+
+def _know_each_other(
+    nodes: dict[str, dict[str, object]], names: Sequence[str], number: int, folder: Path
+) -> None:
+    """Have a robot begin its own map, carry tags, and look for those of its teammates."""
+    path = folder / "rover.urdf"
+    write_text(path, with_plates(read_description(find_description("config/rover.urdf"))))
+    tags = parameter_values(rover_tags(len(names)), "team_tags.")
+    tags = {key: list(value) if isinstance(value, tuple) else value for key, value in tags.items()}
+    others = [place + 1 for place in range(len(names)) if place != number]
+    more = {"description": path, "world_target": False, "teammate_ids": others}
+    nodes["simulator"] |= {**more, **tags}
+    located = nodes["fiducial_localization"]
+    for key in [key for key in located if key.startswith("target.")]:
+        del located[key]
+    located |= {"target.kind": "none", "follow_alignment": True, **tags}
 
 
 class LiveTeam(LiveGraph):
@@ -250,6 +280,7 @@ class LiveTeam(LiveGraph):
         starts: of the robots in the world.
         parameters: further parameters by node name, for all robots.
         loss: share of the team's messages that are lost on arrival.
+        has_board: as of `member_parameters`.
 
     Attributes:
         names: of the robots.
@@ -263,6 +294,8 @@ class LiveTeam(LiveGraph):
         starts: Sequence[TeamStart],
         parameters: Mapping[str, Parameters] | None = None,
         loss: float = 0.0,
+        *,
+        has_board: bool = True,
     ) -> None:
         super().__init__(out)
         self.names = robot_names(len(starts))
@@ -276,7 +309,10 @@ class LiveTeam(LiveGraph):
         self._may_end: tuple[str, ...] = ()
         given, self._parameters = parameters or {}, {}
         for number, name in enumerate(self.names):
-            nodes = member_parameters(self.names, number, starts[number], self.folders[name])
+            folder = self.folders[name]
+            folder.mkdir(parents=True, exist_ok=True)
+            about = self.names, number, starts[number], folder
+            nodes = member_parameters(*about, has_board=has_board)
             for node in _SHARING:
                 nodes[node]["team_map.simulated_loss"] = loss
             self._parameters[name] = {
@@ -317,7 +353,7 @@ class LiveTeam(LiveGraph):
         return self.open_page(f"/{self.names[0]}", team, SHARED)
 
     def views(self, name: str) -> int:
-        """Views that a robot has taken, as far as it was told."""
+        """Views that a robot has taken, as far as it was reported."""
         return int(self.figures[name].get("views", "0"))
 
     @property
@@ -344,13 +380,13 @@ class LiveTeam(LiveGraph):
         """
         end = time.monotonic() + timeout
         while True:
-            told = {name: json.loads(self.call(_hash_service(name))) for name in self.names}
-            hashes = {account["hash"] for account in told.values()}
-            everybody = all(len(a["robots"]) == len(self.names) for a in told.values())
+            accounts = {name: json.loads(self.call(_hash_service(name))) for name in self.names}
+            hashes = {account["hash"] for account in accounts.values()}
+            everybody = all(len(a["robots"]) == len(self.names) for a in accounts.values())
             if len(hashes) == 1 and everybody:
                 return str(hashes.pop())
             if time.monotonic() > end:
-                raise ProcessError(f"the maps are not the same after {timeout:.0f} s: {told}")
+                raise ProcessError(f"the maps are not the same after {timeout:.0f} s: {accounts}")
             self.spin_for(_AGREEING, tick)
 
     def __exit__(self, *how: object) -> None:

@@ -58,30 +58,20 @@ class FiducialLocalizationConfig:
     queue_size: int = setting(
         3, "Pairs that wait for the worker at most; for one more, all give way.", low=1, high=1000
     )
-    min_correction: float = setting(
-        0.002,
-        "Keyframe poses are told again when one of them has moved by more than this, or turned by "
-        "as many radians.",
-        unit="m",
-        low=0.0,
-        high=1.0,
-    )
     use_map: bool = parameter(
         False,
         "Choose fiducials by their certainty in the shared map, f(P) of eq. (19), once map_updates "
         "have arrived; otherwise by the range's own sigma.",
     )
-    fiducials_period: float = setting(
-        1.0,
-        "Shortest time between two publications of fiducials, by the stamps of the images.",
-        unit="s",
-        low=0.0,
-        high=60.0,
+    use_detections: bool = parameter(
+        False,
+        "Take tags from detections, as apriltag_ros publishes them of the rectified left image (or "
+        "of rgb/image_rect), and do not look for them.",
     )
     follow_alignment: bool = parameter(
         False,
         "Move the map where map_alignment says: teammates that see this robot's tags, or a user. "
-        "With team_key, only what is signed with it on map_alignment_signed is heard.",
+        "With team_key, only what is signed with it on map_alignment_signed is taken.",
     )
     state_file: str = parameter(
         "",

@@ -10,6 +10,7 @@ from infomap_ros.errors import MalformedMessageError
 from infomap_ros.localization.localized_camera import LocalizedCamera
 
 LOCALIZATION_STATUS = "localization_status"
+LOOKING, SEEN = "looking", "seen"
 _NAME = "localization"
 _TYPE = "diagnostic_msgs/msg/DiagnosticStatus"
 _LEVELS = {
@@ -28,16 +29,19 @@ class LocalizationState:
         stamp: of the view [ns].
         state: ``tracking``, ``coasting``, ``lost`` or ``searching``, as of `LocalizedCamera`.
         reason: why it is not tracking; may be empty.
+        team: ``looking`` where a teammate with tags is still to be found, ``seen`` where one is in
+            view; else empty.
     """
 
     stamp: int
     state: str
     reason: str
+    team: str = ""
 
 
-def status_message(result: LocalizedCamera) -> DiagnosticStatus:
+def status_message(result: LocalizedCamera, team: str = "") -> DiagnosticStatus:
     """What became of a view, as a message."""
-    values = {"stamp": result.stamp, "state": result.state, "reason": result.reason}
+    values = {"stamp": result.stamp, "state": result.state, "reason": result.reason, "team": team}
     return DiagnosticStatus(
         level=_LEVELS[result.state],
         name=_NAME,
@@ -54,9 +58,10 @@ def read_status(message: DiagnosticStatus) -> LocalizationState:
     """
     values = {pair.key: pair.value for pair in message.values}
     try:
-        news = LocalizationState(int(values["stamp"]), values["state"], values["reason"])
+        known = int(values["stamp"]), values["state"], values["reason"]
+        status = LocalizationState(*known, values.get("team", ""))
     except (KeyError, ValueError) as error:
         raise MalformedMessageError(_TYPE, f"localization status: {error!r}") from error
-    if news.state not in _LEVELS:
-        raise MalformedMessageError(_TYPE, f"localization status: state '{news.state}'")
-    return news
+    if status.state not in _LEVELS:
+        raise MalformedMessageError(_TYPE, f"localization status: state '{status.state}'")
+    return status

@@ -21,7 +21,7 @@ _TYPE = "diagnostic_msgs/msg/DiagnosticStatus"
 
 
 @dataclass(frozen=True, eq=False)
-class ExplorationNews:
+class ExplorationStatus:
     """What next_best_view learns from exploration_status.
 
     Attributes:
@@ -83,7 +83,7 @@ def status_message(
     )
 
 
-def read_status(message: DiagnosticStatus) -> ExplorationNews:
+def read_status(message: DiagnosticStatus) -> ExplorationStatus:
     """Read what `status_message` wrote.
 
     Raises:
@@ -96,7 +96,7 @@ def read_status(message: DiagnosticStatus) -> ExplorationNews:
         view = _failed_view(values)
         views, failures = int(values["views"]), int(values["failures"])
         looks = look_poses(json.loads(values.get("looks", "[]")))
-        return ExplorationNews(views, home, last_look, pose, view, failures, looks)
+        return ExplorationStatus(views, home, last_look, pose, view, failures, looks)
     except (KeyError, ValueError, TypeError, AttributeError, InvalidInputError) as error:
         raise MalformedMessageError(_TYPE, f"exploration status: {error!r}") from error
 

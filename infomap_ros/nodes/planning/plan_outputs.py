@@ -69,7 +69,7 @@ class PlanOutputs:
         self._candidates = node.advertise(MarkerArray, "view_candidates", qos.latched())
 
     def publish(self, choice: Choice) -> None:
-        """Publish view, ways and candidates of a choice, all with the same stamp."""
+        """Publish view, paths and candidates of a choice, all with the same stamp."""
         stamp = int(self._clock.now().nanoseconds)
         candidates = choice.explanation.get("candidates", ())
         self._candidates.publish(self._markers(stamp, candidates, choice.pose))

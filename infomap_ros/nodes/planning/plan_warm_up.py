@@ -1,4 +1,4 @@
-"""Compile what choosing a view and planning the way there takes, before it is needed."""
+"""Compile what choosing a view and planning the route there takes, before it is needed."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def warm_up(config: ViewPlannerConfig) -> None:
     planner = ViewPlanner(robot, StereoRig(_CAMERA, _CAMERA, _BASELINE), TaskConfig(), small)
     state = RobotState(np.eye(4), T_map_camera, 1e-6 * np.eye(6), posture)
     planner.choose(voxel_map, state)
-    planner.way_to(voxel_map, state, KnownPlace("away", _AWAY, joints))
+    planner.route_to(voxel_map, state, KnownPlace("away", _AWAY, joints))
 
 
 def _scan(T_map_camera: FloatArray) -> FloatArray:

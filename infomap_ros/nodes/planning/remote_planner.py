@@ -97,6 +97,7 @@ class RouteStatusListener:
         self._problems = {digest: problem}
 
 
+_PLANNER = "next_best_view"  # name of the node that chooses the views
 _RETRY = 0.25  # [s] between two looks at a planner that is not there, answers not or has no plan
 
 
@@ -108,7 +109,6 @@ class RemotePlannerConfig:
         ConfigError: a value is out of its range.
     """
 
-    planner: str = setting("next_best_view", "Name of the node that chooses the views.")
     planner_timeout: float = setting(
         120.0,
         "When next_best_view has given no plan for so long, nor said that it works on one, the "
@@ -127,7 +127,7 @@ class RemotePlanner:
 
     Args:
         node: whose executor serves the answers in another thread.
-        report_failure: tells next_best_view of a view that brought nothing.
+        report_failure: reports to next_best_view a view that brought nothing.
         stopped: whether an answer is not waited for any more.
     """
 
@@ -139,24 +139,23 @@ class RemotePlanner:
     ) -> None:
         self._node, self._config = node, node.config(RemotePlannerConfig)
         self._log, self._report, self._stopped = node.get_logger(), report_failure, stopped
-        planner = self._config.planner
-        self._plan = node.create_client(Trigger, f"{planner}/plan")
-        self._ways = {
-            HOME.name: node.create_client(Trigger, f"{planner}/plan_home"),
-            LAST_LOOK.name: node.create_client(Trigger, f"{planner}/plan_back"),
+        self._plan = node.create_client(Trigger, f"{_PLANNER}/plan")
+        self._routes = {
+            HOME.name: node.create_client(Trigger, f"{_PLANNER}/plan_home"),
+            LAST_LOOK.name: node.create_client(Trigger, f"{_PLANNER}/plan_back"),
         }
-        self._arm = node.create_client(Trigger, f"{planner}/plan_arm")
+        self._arm = node.create_client(Trigger, f"{_PLANNER}/plan_arm")
         self._route_status = RouteStatusListener(node)
-        self._plan_search = node.create_client(Trigger, f"{planner}/plan_search")
-        self._heard_of_it = -float("inf")  # last sign that it works on a plan
-        node.listen(Empty, f"{planner}/{WORKING}", self._on_working, qos.stream(), required=False)
+        self._plan_search = node.create_client(Trigger, f"{_PLANNER}/plan_search")
+        self._last_sign = -float("inf")  # last sign that it works on a plan
+        node.listen(Empty, f"{_PLANNER}/{WORKING}", self._on_working, qos.stream(), required=False)
 
     def _on_working(self, _: Empty) -> None:
-        self._heard_of_it = time.monotonic()
+        self._last_sign = time.monotonic()
 
     def _is_late(self, begin: float) -> bool:
         """Whether what was asked at a time [s] has been waited for too long."""
-        since = max(begin, self._heard_of_it)
+        since = max(begin, self._last_sign)
         return time.monotonic() > since + self._config.planner_timeout
 
     @property
@@ -173,13 +172,13 @@ class RemotePlanner:
         """
         return self._begin(self._ask(self._plan))
 
-    def way_to(self, state: RobotState, place: KnownPlace) -> Choice:
-        """Ask for the way to a place that next_best_view knows from exploration_status.
+    def route_to(self, state: RobotState, place: KnownPlace) -> Choice:
+        """Ask for the route to a place that next_best_view knows from exploration_status.
 
         Raises:
             ExplorationError: there is no plan for too long, or it cannot be read.
         """
-        return self._begin(self._ask(self._ways[place.name]))
+        return self._begin(self._ask(self._routes[place.name]))
 
     def plan_arm(self, state: RobotState, T_map_camera: FloatArray) -> Choice:
         """Ask for the arm's motion to the view that next_best_view planned last.
@@ -202,7 +201,7 @@ class RemotePlanner:
         return self._ask(self._plan_search)
 
     def failed(self, view: FailedView) -> None:
-        """Tell next_best_view that a view brought nothing."""
+        """Report to next_best_view that a view brought nothing."""
         self._report(view)
 
     def _begin(self, choice: Choice) -> Choice:

@@ -44,7 +44,7 @@ class MotionResults:
 
     @property
     def are_offered(self) -> bool:
-        """Whether there is a node that tells what becomes of motions."""
+        """Whether there is a node that reports results of motions."""
         return bool(self._node.count_publishers(self._topic))
 
     def of(self, motion: str) -> MotionResult | None:
@@ -113,7 +113,7 @@ class RobotTopics:
         return label
 
     @property
-    def tells_results(self) -> bool:
+    def reports_results(self) -> bool:
         """See `RobotLink`."""
         return self._results.are_offered
 
@@ -133,7 +133,7 @@ class RobotTopics:
             try:
                 return self._stopped() or interrupted()
             except PoseUnavailableError:
-                return True  # what moves is stopped first; who asks again is told
+                return True  # what moves is stopped first; who asks again gets the reason
 
         return self._tracker.wait_until(condition, timeout, broken_off)
 

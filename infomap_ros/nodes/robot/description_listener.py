@@ -1,4 +1,4 @@
-"""The robot's description, completed by frames that only /tf_static tells."""
+"""The robot's description, completed by frames that only /tf_static has."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def with_prefix(description: str, prefix: str) -> str:
 
 
 def with_fixed_frames(description: str, chains: Iterable[TransformRecord]) -> str:
-    """A URDF with links at frames that only tf tells, such as a camera's optical frame.
+    """A URDF with links at frames that only tf has, such as a camera's optical frame.
 
     Args:
         description: text of the URDF; returned as it is where it cannot be read or lacks nothing.
@@ -63,7 +63,7 @@ def _read(description: str) -> ET.Element | None:
 def _chain(
     frame: str, edges: Mapping[str, TransformRecord], links: Collection[str]
 ) -> list[TransformRecord]:
-    """The transforms from a link down to a frame, none where there is no such way."""
+    """The transforms from a link down to a frame, none where there is no such path."""
     chain: list[TransformRecord] = []
     while frame not in links:
         edge = edges.get(frame)
@@ -96,10 +96,10 @@ class DescriptionListener:
 
     Args:
         node: that listens.
-        on_description: told the text of the URDF, again when a frame was added.
+        on_description: called with the text of the URDF, again when a frame was added.
         prefix: put before the names of its links.
         required: whether the node cannot work without it.
-        on_edge: told of each transform that is heard.
+        on_edge: called with each transform that is received.
 
     Attributes:
         published: what stands on robot_description; empty before it has come.
@@ -118,26 +118,26 @@ class DescriptionListener:
         self.published = ""
         self._text: str | None = None
         self._links: Collection[str] = ()
-        self._told: list[tuple[str, str, bytes]] | None = None
+        self._sent: list[tuple[str, str, bytes]] | None = None
         self._wanted: set[str] = set()
-        self._next = -math.inf  # when an edge may change what was told [s]
+        self._next = -math.inf  # when an edge may change what was sent [s]
         node.listen(String, "robot_description", self._on_text, qos.latched(), required=required)
         self.frames = FrameListener(node, self._on_edge)
         node.repeat(_PERIOD, self._look)
 
     def want(self, frame: str) -> None:
-        """Have a frame in the description, as soon as tf tells where it is."""
+        """Have a frame in the description, as soon as tf has it."""
         if frame and frame not in self._wanted:
             self._wanted.add(frame)
-            self._tell()
+            self._notify()
 
     def _on_text(self, message: String) -> None:
         self.published = decode_text(message).text
-        self._text, self._told = with_prefix(self.published, self._prefix), None
+        self._text, self._sent = with_prefix(self.published, self._prefix), None
         root = _read(self._text)
         links = () if root is None else root.iterfind("link")
         self._links = {link.get("name", "") for link in links}
-        self._tell()
+        self._notify()
 
     def _on_edge(self, edge: TransformRecord) -> None:
         if edge.is_static:
@@ -145,22 +145,22 @@ class DescriptionListener:
         self._pass_on(edge)
 
     def _look(self) -> None:
-        """See whether tf tells another one, at most once a second: publishers may differ."""
+        """See whether tf has another one, at most once a second: publishers may differ."""
         if time.monotonic() >= self._next:
-            self._tell()
+            self._notify()
 
-    def _tell(self) -> None:
-        """Tell the description, where it is another than was told last."""
+    def _notify(self) -> None:
+        """Pass on the description, where it is another than last."""
         if self._text is None:
             return
         edges = self.frames.static
         chain = [e for frame in sorted(self._wanted) for e in _chain(frame, edges, self._links)]
         for edge in chain:
             self.frames.keep(edge)
-        told = self._told
-        self._told = [(e.child_frame_id, e.frame_id, e.transform.tobytes()) for e in chain]
-        if self._told != told:
-            if told is not None:
+        before = self._sent
+        self._sent = [(e.child_frame_id, e.frame_id, e.transform.tobytes()) for e in chain]
+        if self._sent != before:
+            if before is not None:
                 self._next = time.monotonic() + _PERIOD
             self._on_description(with_fixed_frames(self._text, chain))
 

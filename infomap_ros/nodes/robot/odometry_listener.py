@@ -28,11 +28,11 @@ _MOST_AT_ONCE = 1000  # of one message
 class FrameListener:
     """Listens to /tf_static, and to /tf from when that is needed.
 
-    Without tf2_msgs nothing is heard, and the log says so.
+    Without tf2_msgs nothing is received, and the log says so.
 
     Args:
         node: that listens.
-        on_edge: told of each transform.
+        on_edge: called with each transform.
     """
 
     def __init__(self, node: MonitoredNode, on_edge: Callable[[TransformRecord], None]) -> None:
@@ -41,7 +41,7 @@ class FrameListener:
         self._moving: Subscription | None = None
         self._listen("/tf_static", qos.latched(depth=100), is_static=True)
 
-    def hear_moving(self) -> None:
+    def listen_to_moving(self) -> None:
         """Listen to /tf too from now on: of busy robots that is a thousand messages a second."""
         if self._moving is None:
             self._moving = self._listen("/tf", qos.stream(depth=100), is_static=False)
@@ -59,7 +59,7 @@ class FrameListener:
         try:
             kind = message_class(TF)
         except ModuleNotFoundError:
-            self._node.get_logger().warning(f"{topic} is not heard: tf2_msgs is not installed")
+            self._node.get_logger().warning(f"{topic} is not read: tf2_msgs is not installed")
             return None
         receive = partial(self._on_transforms, is_static=is_static)
         return self._node.listen(kind, topic, receive, profile, required=False)
@@ -67,7 +67,7 @@ class FrameListener:
     def _on_transforms(self, message: Any, *, is_static: bool) -> None:
         edges = decode_transforms(message, is_static)
         if len(edges) > _MOST_AT_ONCE:
-            text = f"has {len(edges)} transforms, at most {_MOST_AT_ONCE} are heard at once"
+            text = f"has {len(edges)} transforms, at most {_MOST_AT_ONCE} are taken at once"
             raise MalformedMessageError(TF, text)
         for edge in edges:
             if edge.is_static:
@@ -75,7 +75,7 @@ class FrameListener:
             self._on_edge(edge)
 
     def keep(self, edge: TransformRecord) -> None:
-        """Note that a fixed transform was told, or is used."""
+        """Note that a fixed transform has come, or is used."""
         self.static[edge.child_frame_id] = edge
         self.static.move_to_end(edge.child_frame_id)
         if len(self.static) > MOST_FRAMES:
@@ -93,14 +93,14 @@ class OdometryFromFrames:
     def __init__(self, odom_frame: str, base_frame: str) -> None:
         self._odom, self._base = odom_frame, base_frame
         self._tree = TransformTree()
-        self._told = -1
+        self._newest = -1
 
     def add(self, edge: TransformRecord) -> OdometryRecord | None:
         """Take a transform.
 
         Returns:
             The base in the frame of odometry at its stamp, with unknown covariance; None where it
-            does not tell, or was told already.
+            does not say, or was returned already.
 
         Raises:
             FrameError: the edge's child moves and has had another parent.
@@ -112,9 +112,9 @@ class OdometryFromFrames:
             pose = self._tree.at(self._odom, self._base, edge.stamp)
         except (PoseUnavailableError, FrameError):
             return None  # not there yet, or another branch of the tree
-        if edge.stamp == self._told:
+        if edge.stamp == self._newest:
             return None
-        self._told = edge.stamp
+        self._newest = edge.stamp
         return OdometryRecord(edge.stamp, self._odom, pose.transform, None, self._base)
 
 
@@ -122,11 +122,11 @@ _LOOK_PERIOD = 1.0  # [s]
 
 
 class OdometryListener:
-    """Listens to odom. While nobody publishes that, the frames of tf tell where the base is.
+    """Listens to odom. While nobody publishes that, the frames of tf say where the base is.
 
     Args:
         node: that listens.
-        on_odometry: told of each record.
+        on_odometry: called with each record.
         frames: of the robot.
         odom_frame: frame of odometry on tf.
         base_frame: whose pose it is; empty for any.
@@ -174,7 +174,7 @@ class OdometryListener:
 
     def _look(self) -> None:
         if not self._has_come and not self._node.count_publishers(self._topic):
-            self._frames.hear_moving()
+            self._frames.listen_to_moving()
 
     def _on_message(self, message: Odometry) -> None:
         odometry: OdometryRecord = decode_odometry(message)

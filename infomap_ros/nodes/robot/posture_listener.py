@@ -26,30 +26,30 @@ _MOST_EARLY = 1000  # records that come before robot and camera are known
 
 
 class PostureListener:
-    """Listens to odom, joint_states, robot_description, and where these do not tell to tf.
+    """Listens to odom, joint_states, robot_description, and where these do not suffice to tf.
 
     When the clock of odometry jumps back, what was known before is forgotten. A lone odometry
     whose stamp no other agrees with is dropped (`ClockGate`).
 
     Args:
         node: that listens; has the configurations of frames and poses.
-        on_news: called when more is known than before.
+        on_change: called when more is known than before.
         required: whether the node cannot work without odometry.
-        on_odometry: told of each record.
+        on_odometry: called with each record.
     """
 
     def __init__(
         self,
         node: MonitoredNode,
-        on_news: Callable[[], None],
+        on_change: Callable[[], None],
         *,
         required: bool,
         on_odometry: Callable[[OdometryRecord], None] = lambda _: None,
     ) -> None:
         self._node, self._frames = node, node.config(RobotTrackerConfig)
         self._buffer = node.config(PoseBufferConfig)
-        self._on_news, self._log = on_news, node.get_logger()
-        self._tell_odometry = on_odometry
+        self._on_change, self._log = on_change, node.get_logger()
+        self._pass_odometry = on_odometry
         self._robot: RobotModel | None = None
         self._motion: RobotMotion | None = None
         self._camera_frame = self._frames.camera_frame
@@ -97,7 +97,7 @@ class PostureListener:
         return self._newest if self._newest >= 0 else None
 
     def look_from(self, camera_frame: str) -> None:
-        """Tell in which frame images are."""
+        """Set in which frame images are."""
         if not self._camera_frame:
             self._camera_frame = camera_frame
             self._texts.want(camera_frame)
@@ -139,11 +139,11 @@ class PostureListener:
 
     def _on_joints(self, message: JointState) -> None:
         self._joints = decode_joint_state(message)
-        self._node.health.heard_of(self._joints.names)
+        self._node.health.note_joints(self._joints.names)
         self._add(self._joints)
 
     def _on_edge(self, edge: TransformRecord) -> None:
-        """Transforms tell of odometry, and of the camera where the description does not."""
+        """Transforms give odometry, and the camera where the description does not."""
         self._odometry.add(edge)
         if not edge.is_static and (self._motion is None or self._is_on_robot):
             return
@@ -164,7 +164,7 @@ class PostureListener:
                 if self._joints is not None:  # which may have jumped before
                     self._add(self._joints)
             self._newest, self.odom_frame = record.stamp, record.frame_id
-            self._tell_odometry(record)
+            self._pass_odometry(record)
             self._add(record)
 
     def _add(self, record: OdometryRecord | JointStateRecord) -> None:
@@ -173,7 +173,7 @@ class PostureListener:
             self._early.append(record)
         else:
             self._motion.add(record)
-            self._on_news()
+            self._on_change()
 
     def _begin(self) -> None:
         """Begin to collect, once it is known where on the robot the camera is, or anew."""
@@ -182,7 +182,7 @@ class PostureListener:
             return
         fixed = self._texts.frames.static
         if not self._is_on_robot:
-            self._texts.frames.hear_moving()
+            self._texts.frames.listen_to_moving()
         if self._is_on_robot or self._camera_frame in fixed:
             self._useless = ""
             edges = () if self._is_on_robot else fixed.values()

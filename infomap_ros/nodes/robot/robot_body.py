@@ -30,7 +30,7 @@ class RobotBodyConfig:
     remove_body: bool = parameter(
         True,
         "Drop points on the robot's own body. Needs robot_description and, if it has joints, "
-        "joint_states; where these do not tell, nothing is dropped, with a warning.",
+        "joint_states; where these are missing, nothing is dropped, with a warning.",
     )
     frame_prefix: str = parameter(
         "",
@@ -48,12 +48,12 @@ class BodyListener:
 
     Args:
         node: has the configuration of the body.
-        body: is told of them.
-        on_news: called when more is known of the body than before.
+        body: gets them.
+        on_change: called when more is known of the body than before.
     """
 
-    def __init__(self, node: MonitoredNode, body: RobotBody, on_news: Callable[[], None]) -> None:
-        self._node, self._body, self._on_news = node, body, on_news
+    def __init__(self, node: MonitoredNode, body: RobotBody, on_change: Callable[[], None]) -> None:
+        self._node, self._body, self._on_change = node, body, on_change
         self._config = node.config(RobotBodyConfig)
         self._since = time.monotonic()
         prefix, stream = self._config.frame_prefix, qos.sensor_data(100)
@@ -61,14 +61,14 @@ class BodyListener:
         node.listen(JointState, "joint_states", self._on_joints, stream, required=False)
 
     @property
-    def are_joints_told(self) -> bool:
+    def are_joints_sent(self) -> bool:
         """Whether somebody publishes joint states, or may be found to do so."""
         topic = self._node.resolve_topic_name("joint_states")
         is_early = time.monotonic() < self._since + _DISCOVERY
         return is_early or self._node.count_publishers(topic) > 0
 
     def look_from(self, camera_frame: str) -> None:
-        """Tell in which frame clouds are."""
+        """Set in which frame clouds are."""
         self._texts.want(camera_frame)
 
     def _on_description(self, text: str) -> None:
@@ -80,6 +80,6 @@ class BodyListener:
 
     def _on_joints(self, message: JointState) -> None:
         joints = decode_joint_state(message)
-        self._node.health.heard_of(joints.names)
+        self._node.health.note_joints(joints.names)
         self._body.add(joints)
-        self._on_news()
+        self._on_change()

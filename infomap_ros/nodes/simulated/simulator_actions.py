@@ -103,7 +103,7 @@ class SimulatorInputs:
             topic, command = self._commands.get()
             self._node.guard(topic, command)
 
-    def tell_problem(self) -> None:
+    def report_problem(self) -> None:
         """Say once why a motion ended before its goal."""
         problem = self._simulator.problem
         if problem != self._problem:

@@ -1,1 +1,1 @@
-"""Topics that the robots of a team share, as nodes hear and tell them."""
+"""Topics that the robots of a team share, as nodes receive and send them."""

@@ -1,4 +1,4 @@
-"""The shared map as a node hears it from map_updates and team/map_updates."""
+"""The shared map as a node receives it from map_updates and team/map_updates."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from infomap_ros.errors import ExplorationError
-from infomap_ros.geometry.config import check_config, parameter, setting
+from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.nodes.common.base import MonitoredNode
 from infomap_ros.nodes.common.worker import Worker
@@ -24,12 +24,15 @@ from infomap_ros.team.update import version_at
 from infomap_ros.team.wire import decode_update
 
 Rows = NDArray[np.void]
+# After the start, plans are refused until the map has not grown for so long: what was known before
+# a restart arrives bit by bit [s].
+_ARRIVAL_PAUSE = 1.0
 _GROWTH = 1.01  # by this factor the map must grow to count as growing
 
 
 @dataclass(frozen=True)
 class MapListenerConfig:
-    """How the map is heard.
+    """How the map is received.
 
     Raises:
         ConfigError: a value is out of its range.
@@ -41,14 +44,6 @@ class MapListenerConfig:
         unit="GB",
         low=0.001,
         high=1024.0,
-    )
-    arrival_pause: float = setting(
-        1.0,
-        "After the start, plans are refused until the map has not grown by 1 % for so long: what "
-        "was known before a restart arrives bit by bit.",
-        unit="s",
-        low=0.0,
-        high=60.0,
     )
 
     def __post_init__(self) -> None:
@@ -63,7 +58,7 @@ class MapListener:
         worker: applies the updates, in the order in which they come.
         required: whether the node cannot work without the map: an update is then a result of it,
             and that none comes is worth a warning.
-        on_update: called by the worker after each update.
+        on_update: called by the worker after each update, and when a map is taken in or left out.
     """
 
     def __init__(
@@ -84,7 +79,7 @@ class MapListener:
         inbox = TeamInbox(node, self._frame, worker, self._key)
         for topic in ("map_updates", UPDATES):
             inbox.listen(topic, self._apply, required=required and topic == "map_updates")
-        TeamExchange(node, self._frame, worker, self._key, lambda: self._member)
+        TeamExchange(node, self._frame, worker, self._key, lambda: self._member, on_update)
 
     def voxel_map(self) -> VoxelMap:
         """The sum over all robots.
@@ -95,7 +90,7 @@ class MapListener:
         voxel_map = self.known_map()
         if voxel_map is None:
             raise ExplorationError("no map_updates have arrived yet")
-        self._arrived |= time.monotonic() - self._grown >= self._config.arrival_pause
+        self._arrived |= time.monotonic() - self._grown >= _ARRIVAL_PAUSE
         if not self._arrived:
             raise ExplorationError(f"the map is still arriving: {self._known} voxels so far")
         return voxel_map
@@ -104,10 +99,12 @@ class MapListener:
         """The sum over all robots as far as it has arrived; None where nothing has."""
         if self._member is None or not self._member.replica.voxel_map.known_voxels:
             return None
-        return self._member.replica.voxel_map
+        voxel_map = self._member.replica.voxel_map
+        voxel_map.origin = self._member.replica.origin
+        return voxel_map
 
     def _apply(self, rows: Rows) -> None:
-        """Learn what a robot has seen; the first update tells the size of the voxels.
+        """Learn what a robot has seen; the first update gives the size of the voxels.
 
         Raises:
             InfomapError: the update cannot be used; the map is as before.
@@ -115,7 +112,7 @@ class MapListener:
         if self._member is None:
             genuine = rows if self._key is None else self._key.verify(rows)
             self._member = self._make_member(decode_update(genuine).voxel_size)
-        self._member.hear_update(rows, time.monotonic())
+        self._member.receive_update(rows, time.monotonic())
         self._on_update()
         if self._required:
             self._node.health.produced()
@@ -130,7 +127,7 @@ class MapListener:
         )
         sharing = self._node.config(TeamConfig)
         who = team.robot_id, draw_session(), version_at(time.time_ns())
-        return TeamMember(*who, map_config, sharing, team.team, tells=False, key=self._key)
+        return TeamMember(*who, map_config, sharing, team.team, contributes=False, key=self._key)
 
     def _note_growth(self, known: int) -> None:
         if known > _GROWTH * self._known:

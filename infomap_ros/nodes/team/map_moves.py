@@ -1,12 +1,12 @@
-"""The topic map_alignment: where the frame of a robot's map belongs, told by others or by hand.
+"""The topic map_alignment: where the frame of a robot's map belongs, given by others or by hand.
 
 A geometry_msgs/PoseWithCovarianceStamped: its pose is ``T_new_old``, the frame of the map as it is
 in that which it should be. Its stamp is that of the image by which this was found; zero for now.
 
-Where the team has a key, teammates tell the same on map_alignment_signed, and map_alignment is
+Where the team has a key, teammates send the same on map_alignment_signed, and map_alignment is
 refused. As map updates, that is rows of named fields, here one row, with the header in the name of
 one more field: whom it is for, the frame, and the stamp of the image by which it was found. A
-message without an image's stamp is then not heard, as it could be repeated at any time.
+message without an image's stamp is then refused, as it could be repeated at any time.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ _MAX_STAMP = 2**63 - 1
 
 
 def encode_alignment(alignment: PoseRecord, robot: int) -> NDArray[np.void]:
-    """The row that tells a robot to move its map.
+    """The row that commands a robot to move its map.
 
     Args:
         alignment: ``T_new_old`` with its covariance, in the map frame.
@@ -61,7 +61,7 @@ def encode_alignment(alignment: PoseRecord, robot: int) -> NDArray[np.void]:
 
 
 def decode_alignment(rows: NDArray[np.void]) -> tuple[int, PoseRecord]:
-    """Read such a row: id of the robot that is told, and what; zeros are an unknown covariance.
+    """Read such a row: id of the robot that is to move, and how; zeros are an unknown covariance.
 
     Raises:
         InvalidInputError: it is not one, or its numbers are no transform or covariance.
@@ -73,8 +73,8 @@ def decode_alignment(rows: NDArray[np.void]) -> tuple[int, PoseRecord]:
     if len(table) != 1:
         raise InvalidInputError(_WHAT, f"of {len(table)} rows, expected one")
     transform = np.vstack([table["T_new_old"][0].reshape(3, 4), [0.0, 0.0, 0.0, 1.0]])
-    told = table["covariance"][0].reshape(6, 6)
-    covariance = check_covariance(told, 6) if told.any() else None
+    matrix = table["covariance"][0].reshape(6, 6)
+    covariance = check_covariance(matrix, 6) if matrix.any() else None
     alignment = check_transform(transform, "T_new_old")
     return robot, PoseRecord(stamp, header.get("frame", ""), alignment, covariance)
 
@@ -84,7 +84,7 @@ _SIZE = MOST_WAITING // 16  # as which a move of the map counts: a few may wait
 
 
 def advertise_alignment(node: MonitoredNode, namespace: str, key: TeamKey | None) -> Publisher:
-    """The publisher by which the robot in a namespace is told to move its map."""
+    """The publisher by which the robot in a namespace is commanded to move its map."""
     if key is None:
         topic = f"{namespace}/{MAP_ALIGNMENT}"
         return node.advertise(PoseWithCovarianceStamped, topic, qos.stream())
@@ -99,7 +99,7 @@ def alignment_message(
     Args:
         types: who makes the message.
         alignment: ``T_new_old``, in the frame of the map.
-        robot: id of the robot that is told.
+        robot: id of the robot that is to move it.
         key: of the team, None without one.
     """
     if key is None:
@@ -112,7 +112,7 @@ def read_signed(message: PointCloud2, key: TeamKey, robot: int) -> PoseRecord:
     """The alignment in a signed message.
 
     Args:
-        message: as it was heard.
+        message: as it was received.
         key: of the team.
         robot: id of this robot.
 
@@ -120,9 +120,9 @@ def read_signed(message: PointCloud2, key: TeamKey, robot: int) -> PoseRecord:
         InfomapError: it is malformed.
         UpdateRefusedError: it is not signed with the key, not for this robot, or without a stamp.
     """
-    told, alignment = decode_alignment(key.verify(decode_rows(message)[2]))
-    if told != robot or not alignment.stamp:
-        what = f"{MAP_ALIGNMENT_SIGNED} for robot {told}, stamp {alignment.stamp} ns"
+    receiver, alignment = decode_alignment(key.verify(decode_rows(message)[2]))
+    if receiver != robot or not alignment.stamp:
+        what = f"{MAP_ALIGNMENT_SIGNED} for robot {receiver}, stamp {alignment.stamp} ns"
         raise UpdateRefusedError(f"{what}: not for this robot and its images", NOT_AUTHENTIC)
     return alignment
 
@@ -136,7 +136,7 @@ def listen_to_moves(
     key: TeamKey | None = None,
     robot: int = 0,
 ) -> None:
-    """Have a worker move a map when it is told to.
+    """Have a worker move a map when a message asks for it.
 
     Args:
         node: that listens; what is refused are counted drops.
@@ -144,7 +144,7 @@ def listen_to_moves(
         worker: whose thread owns the map.
         move: does it.
         topic: relative name.
-        key: of the team; with one, only what is signed is heard.
+        key: of the team; with one, only what is signed is taken.
         robot: id of this robot.
     """
 
@@ -171,20 +171,20 @@ def listen_to_moves(
 
 def describe_move(T_new_old: np.ndarray) -> str:
     """How far a map is moved, in words."""
-    way = float(np.linalg.norm(T_new_old[:3, 3]))
+    distance = float(np.linalg.norm(T_new_old[:3, 3]))
     cosine = 0.5 * (float(np.trace(T_new_old[:3, :3])) - 1.0)
-    return f"by {way:.3f} m and {np.arccos(np.clip(cosine, -1.0, 1.0)):.3f} rad"
+    return f"by {distance:.3f} m and {np.arccos(np.clip(cosine, -1.0, 1.0)):.3f} rad"
 
 
-def check_is_later(told: PoseRecord, moved: int) -> None:
+def check_is_later(alignment: PoseRecord, moved: int) -> None:
     """Refuse what was found in an image of before the last move.
 
     Args:
-        told: the alignment.
+        alignment: the alignment.
         moved: stamp of the last image before the last move [ns].
 
     Raises:
         InvalidInputError: it was.
     """
-    if 0 < told.stamp <= moved:
+    if 0 < alignment.stamp <= moved:
         raise InvalidInputError(MAP_ALIGNMENT, "is from before the map was moved last")

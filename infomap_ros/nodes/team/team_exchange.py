@@ -21,7 +21,7 @@ from infomap_ros.team.member import TeamMember
 from infomap_ros.team.membership import TeamKey
 
 Rows = NDArray[np.void]
-NOT_HEARD = "not heard by a teammate"
+IGNORED = "ignored by a teammate"
 
 
 class TeamExchange:
@@ -33,6 +33,7 @@ class TeamExchange:
         worker: where the member lives.
         key: of the team, None without one.
         find_member: gives it, None as long as there is none.
+        on_change: called by the worker when a robot's map was taken in or left out.
         foreign: called with each digest before that, as it may be the first sign of a team.
     """
 
@@ -43,10 +44,11 @@ class TeamExchange:
         worker: Worker,
         key: TeamKey | None,
         find_member: Callable[[], TeamMember | None],
+        on_change: Callable[[], object],
         foreign: Callable[[Rows], object] = lambda rows: None,
     ) -> None:
         self._node, self._frame, self._worker = node, frame, worker
-        self._find_member, self._foreign = find_member, foreign
+        self._find_member, self._on_change, self._foreign = find_member, on_change, foreign
         self._types, self._speaking = RclpyMessageTypes(), False
         profile = qos.stream(depth=200)
         self._publishers = {
@@ -54,18 +56,18 @@ class TeamExchange:
         }
         inbox = TeamInbox(node, frame, worker, key)
         for topic in (DIGESTS, REQUESTS):
-            inbox.listen(topic, partial(self._hear, topic))
+            inbox.listen(topic, partial(self._receive, topic))
         period = node.config(TeamConfig).digest_period
         node.repeat(period, self._speak_soon)
 
-    def _hear(self, topic: str, rows: Rows) -> None:
+    def _receive(self, topic: str, rows: Rows) -> None:
         if topic == DIGESTS:
             self._foreign(rows)
         member = self._find_member()
         if member is None:
             return
-        hear = member.hear_digest if topic == DIGESTS else member.hear_request
-        hear(rows, time.monotonic())
+        receive = member.receive_digest if topic == DIGESTS else member.receive_request
+        receive(rows, time.monotonic())
 
     def _speak_soon(self) -> None:
         """Have the worker speak, unless it still has to."""
@@ -82,13 +84,16 @@ class TeamExchange:
         member = self._find_member()
         if member is None:
             return
+        aside = member.replica.aside
         self._publish(DIGESTS, member.digests(time.monotonic()))
+        if member.replica.aside != aside:
+            self._on_change()
         for robot, found in member.contradictions.items():
             known = f"{found.contradicted} of {found.compared} surface voxels"
             self._node.drop("maps contradict", f"robot {robot}: {known}; it is left out")
         for robot, version in member.barred_by(time.monotonic()).items():
             known = f"holds version {version} of this robot, which is at {member.version}"
-            self._node.drop(NOT_HEARD, f"robot {robot} {known}; restart this robot, set its clock")
+            self._node.drop(IGNORED, f"robot {robot} {known}; restart this robot, set its clock")
         self._publish(REQUESTS, member.requests(time.monotonic()))
 
     def _publish(self, topic: str, messages: list[Rows]) -> None:

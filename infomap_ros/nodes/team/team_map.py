@@ -1,7 +1,7 @@
 """The map of the whole team, as map_fusion shows it.
 
 It exists from the first word of another robot on. It is a replica as every robot has it: the own
-contribution enters as others hear it, quantized, so that all robots show the same map.
+contribution enters as others receive it, quantized, so that all robots show the same map.
 """
 
 from __future__ import annotations
@@ -52,7 +52,9 @@ class TeamMap:
         """Apply updates in a worker from now on."""
         key = self._updates.key
         TeamInbox(self._node, self._frame, worker, key).listen(UPDATES, self._apply)
-        TeamExchange(self._node, self._frame, worker, key, lambda: self._member, self._hear_of)
+        TeamExchange(
+            self._node, self._frame, worker, key, lambda: self._member, self._changed, self._meet
+        )
 
     @property
     def voxel_map(self) -> VoxelMap | None:
@@ -68,7 +70,7 @@ class TeamMap:
             InvalidInputError: there is no other robot.
         """
         if self._member is None:
-            raise InvalidInputError("team", "no other robot was heard")
+            raise InvalidInputError("team", "no other robot has reported")
         replica = self._member.replica
         known = {
             "hash": f"{replica.hash():016x}",
@@ -86,11 +88,11 @@ class TeamMap:
         if self._member is None:
             update = decode_update(self._genuine(rows))
             self._join(update.robot, update.session)
-        if self._member is not None and self._member.hear_update(rows, time.monotonic()):
+        if self._member is not None and self._member.receive_update(rows, time.monotonic()):
             self._changed()
 
-    def _hear_of(self, rows: Rows) -> None:
-        """A digest may be the first that is heard of another robot."""
+    def _meet(self, rows: Rows) -> None:
+        """A digest may be the first message of another robot."""
         if self._member is None:
             digest = decode_digest(self._genuine(rows))
             self._join(digest.sender, digest.session)

@@ -1,6 +1,6 @@
-"""The topics on which the robots of a team hear each other, and how they become common to all.
+"""The topics on which the robots of a team meet, and how they become common to all.
 
-The topic team/agents as it is heard.
+The topic team/agents as it is received.
 
 Who a node's robot is in its team, and whose messages count.
 
@@ -46,20 +46,20 @@ OWN_FRAMES = {"/tf": "tf", "/tf_static": "tf_static"}
 frames have the same names do not meet on one topic. Without namespace they change nothing."""
 
 
-def listen_to_agents(node: MonitoredNode, frame: str, hear: Callable[[str], object]) -> None:
-    """Subscribe to what robots tell of themselves.
+def listen_to_agents(node: MonitoredNode, frame: str, take: Callable[[str], object]) -> None:
+    """Subscribe to what robots report of themselves.
 
     Args:
         node: that listens; what is refused is counted there.
         frame: of the map.
-        hear: called with each text; its errors are counted drops.
+        take: called with each text; its errors are counted drops.
     """
 
     def receive(message: MarkerArray) -> None:
-        for told_in, text in decode_agent_texts(message):
-            if told_in != frame:
-                raise FrameError(f"robot told in frame '{told_in}', the map is '{frame}'")
-            hear(text)
+        for frame_id, text in decode_agent_texts(message):
+            if frame_id != frame:
+                raise FrameError(f"robot reported in frame '{frame_id}', the map is '{frame}'")
+            take(text)
 
     profile = qos.stream(depth=50)
     node.listen(MarkerArray, AGENTS, receive, profile, required=False, from_peer=True)
@@ -104,7 +104,7 @@ class TeamInbox:
     Args:
         node: that listens.
         frame: of the map.
-        worker: where messages are heard.
+        worker: where messages are received.
         key: of the team; without one every message is taken for genuine.
     """
 
@@ -113,31 +113,31 @@ class TeamInbox:
     ) -> None:
         self._node, self._frame, self._worker, self._key = node, frame, worker, key
 
-    def listen(self, topic: str, hear: Callable[[Rows], object], *, required: bool = False) -> None:
+    def listen(self, topic: str, take: Callable[[Rows], object], *, required: bool = False) -> None:
         """Subscribe.
 
         Args:
             topic: relative name.
-            hear: called by the worker with the rows of each message that has some.
+            take: called by the worker with the rows of each message that has some.
             required: whether its absence is worth a warning.
         """
-        receive, profile = partial(self._receive, topic, hear), qos.stream(depth=200)
+        receive, profile = partial(self._receive, topic, take), qos.stream(depth=200)
         self._node.listen(PointCloud2, topic, receive, profile, required=required, from_peer=True)
 
-    def _receive(self, topic: str, hear: Callable[[Rows], object], message: PointCloud2) -> None:
+    def _receive(self, topic: str, take: Callable[[Rows], object], message: PointCloud2) -> None:
         size = len(message.data)
         if size > 2 * MAX_MESSAGE_BYTES:
             raise InvalidInputError(
-                "message", f"{size} bytes, at most {MAX_MESSAGE_BYTES} are told"
+                "message", f"{size} bytes, at most {MAX_MESSAGE_BYTES} are taken"
             )
         _, frame, rows = decode_rows(message)
         if frame != self._frame:
-            raise FrameError(f"told in frame '{frame}', the map is '{self._frame}'")
+            raise FrameError(f"message in frame '{frame}', the map is '{self._frame}'")
         if not len(rows):
             return
         if self._key is not None:
             self._key.verify(rows)
         header = header_of(rows, "message")
         speaker = header.get("sender", header.get("robot", "nobody"))
-        guarded = partial(self._node.guard_peer, topic, partial(hear, rows))
+        guarded = partial(self._node.guard_peer, topic, partial(take, rows))
         self._worker.submit_from(f"robot {speaker}", size, guarded)

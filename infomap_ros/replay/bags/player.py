@@ -12,6 +12,7 @@ from infomap_ros.replay.bags.reader import BagMessage
 
 _NANOSECONDS = 1e9
 _MESSAGES_PER_STEP = 64
+_ACKNOWLEDGE_TIMEOUT = 5.0  # after which a message without its result counts as lost [s]
 
 
 @dataclass(frozen=True)
@@ -31,9 +32,6 @@ class PlayerConfig:
     )
     window: int = setting(
         2, "Messages of each paced topic that may be on their way at once.", low=1, high=1000
-    )
-    acknowledge_timeout: float = setting(
-        5.0, "After this long without its result a message counts as lost.", unit="s", low=0.01
     )
 
     def __post_init__(self) -> None:
@@ -172,7 +170,7 @@ class BagPlayer:
 
     def _give_up(self, now: float) -> None:
         for flying in self._in_flight.values():
-            oldest = now - self.config.acknowledge_timeout
+            oldest = now - _ACKNOWLEDGE_TIMEOUT
             for stamp in [stamp for stamp, sent in flying.items() if sent <= oldest]:
                 del flying[stamp]
                 self.unacknowledged += 1
@@ -191,6 +189,6 @@ class BagPlayer:
     def _wait(self, now: float) -> float:
         if self._next is None or self.config.acknowledged:
             waiting = any(self._in_flight.values())
-            return min(0.1, self.config.acknowledge_timeout) if waiting else 0.0
+            return min(0.1, _ACKNOWLEDGE_TIMEOUT) if waiting else 0.0
         late = (self._next.stamp - self._recording_time(now)) / _NANOSECONDS
         return max(0.0, late / self.config.rate)

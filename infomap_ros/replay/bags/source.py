@@ -193,11 +193,11 @@ def _channel(connection: Connection) -> Channel:
 
 def _is_latched(connection: Connection) -> bool:
     if isinstance(connection.ext, ConnectionExtRosbag1):
-        told = bool(connection.ext.latching)
+        latched = bool(connection.ext.latching)
     else:
         profiles = connection.ext.offered_qos_profiles
-        told = any(qos.durability == QosDurability.TRANSIENT_LOCAL for qos in profiles)
-    return told or is_latched_by_custom(connection.topic)
+        latched = any(qos.durability == QosDurability.TRANSIENT_LOCAL for qos in profiles)
+    return latched or is_latched_by_custom(connection.topic)
 
 
 def is_latched_by_custom(topic: str) -> bool:

@@ -35,6 +35,12 @@ _MODELS = {
 }
 """Distortion models by the names that files give them."""
 
+_CAMODOCAL = {
+    "PINHOLE": ("radtan", "fx fy cx cy", "k1 k2 p1 p2"),
+    "KANNALA_BRANDT": ("equidistant", "mu mv u0 v0", "k2 k3 k4 k5"),
+}
+"""Distortion model, and names of focal lengths with principal point and of the coefficients."""
+
 _NEAR_EDGE = 0.3  # share of an image: of half and of double size the principal point lies beyond
 _LARGEST = 10_000_000  # bytes of a calibration file
 _UNREADABLE = (
@@ -122,10 +128,13 @@ def read_calibration(files: Sequence[Path], size: Size) -> Calibration:
 def _read(path: Path, size: Size) -> Calibration:
     try:
         text = _text_of(path)
+        if re.search(r"^(model_type|cam0_calib)\s*:", text, re.MULTILINE):
+            return _camodocal(path, text)
+        settings = re.search(r"^Camera1?\.fx\s*:", text, re.MULTILINE)
+        if settings and not re.search(r"^LEFT\.K\s*:", text, re.MULTILINE):
+            return _of_size(_orb_slam(path, text, size), size)
         if "opencv-matrix" in text or "opencv_storage" in text:
             return _of_size(_opencv(path, size), size)
-        if re.search(r"^Camera1?\.fx\s*:", text, re.MULTILINE):
-            return _of_size(_orb_slam(text, size), size)
         if re.search(r"^\s*cam0\s*=\s*\[", text, re.MULTILINE):
             return _of_size(_middlebury(text, size), size)
         if re.search(r"^P(_rect_0)?[0-3]:", text, re.MULTILINE) or _is_numbers(text, 12):
@@ -133,19 +142,21 @@ def _read(path: Path, size: Size) -> Calibration:
         if _is_numbers(text, 3):
             matrix = np.loadtxt(path)
             return _of_size(Calibration((_pinhole(matrix, size),), is_rectified=True), size)
-        content = yaml.safe_load(re.sub(r"^%YAML.*$", "", text, flags=re.MULTILINE))
+        plain = re.sub(r"^%YAML.*$", "", text, flags=re.MULTILINE).replace("\t", " ")
+        content = yaml.safe_load(plain)
         for key, read in _YAML_READERS.items():
             if isinstance(content, dict) and key in content:
                 return read(content, size)
     except InfomapError as error:
         raise CalibrationError(f"calibration {path}: {error}") from error
     except _UNREADABLE as e:
-        reason = e.strerror if isinstance(e, OSError) else repr(e)
+        reason = e.strerror if isinstance(e, OSError) else " ".join(str(e).split()) or repr(e)
+        reason = f"it has no {reason}" if isinstance(e, KeyError) else reason
         raise CalibrationError(f"calibration {path} cannot be read: {reason}") from e
     raise CalibrationError(
         f"calibration {path} is of no known format: expected Kalibr (camchain.yaml), EuRoC "
-        "(sensor.yaml), ROS (camera_info yaml), OpenCV (yml or xml), ORB-SLAM (Camera.fx), KITTI "
-        "or Middlebury (calib.txt), or a 3x3 matrix"
+        "(sensor.yaml), ROS (camera_info yaml), OpenCV (yml or xml), ORB-SLAM (Camera.fx), VINS "
+        "(model_type), KITTI or Middlebury (calib.txt), or a 3x3 matrix"
     )
 
 
@@ -228,7 +239,7 @@ def _kalibr(content: Mapping[str, Any], size: Size) -> Calibration:
     )
     bodies = [_kalibr_body(camera) for camera in cameras]
     given = cameras[1].get("T_cn_cnm1") if len(cameras) > 1 else None
-    T = None if given is None else check_transform(given, "T_cn_cnm1")
+    T = None if given is None else _transform(given, "T_cn_cnm1")
     if T is None and len(bodies) > 1 and bodies[0] is not None and bodies[1] is not None:
         T = bodies[1] @ invert_transform(bodies[0])
     return Calibration(described, T, bodies[0], is_rectified=False)
@@ -237,10 +248,15 @@ def _kalibr(content: Mapping[str, Any], size: Size) -> Calibration:
 def _kalibr_body(camera: Mapping[str, Any]) -> FloatArray | None:
     """T_camera_body of one camera: of Kalibr, or its inverse as OpenVINS writes it."""
     if camera.get("T_cam_imu") is not None:
-        return check_transform(camera["T_cam_imu"], "T_cam_imu")
+        return _transform(camera["T_cam_imu"], "T_cam_imu")
     if camera.get("T_imu_cam") is not None:
-        return invert_transform(check_transform(camera["T_imu_cam"], "T_imu_cam"))
+        return invert_transform(_transform(camera["T_imu_cam"], "T_imu_cam"))
     return None
+
+
+def _transform(numbers: Any, name: str) -> FloatArray:
+    """Four rows, or sixteen numbers in a row as MSCKF-VIO has them."""
+    return check_transform(np.reshape(np.asarray(numbers, dtype=np.float64), (4, 4)), name)
 
 
 def _euroc(content: Mapping[str, Any], size: Size) -> Calibration:
@@ -251,7 +267,7 @@ def _euroc(content: Mapping[str, Any], size: Size) -> Calibration:
         content.get("distortion_model", ""),
         tuple(content.get("resolution", size)),
     )
-    T_body_camera = check_transform(np.reshape(content["T_BS"]["data"], (4, 4)), "T_BS")
+    T_body_camera = _transform(content["T_BS"]["data"], "T_BS")
     return Calibration((camera,), None, invert_transform(T_body_camera), is_rectified=False)
 
 
@@ -315,20 +331,58 @@ def _opencv(path: Path, size: Size) -> Calibration:
     return Calibration(tuple(cameras), T, is_rectified=False)
 
 
-def _orb_slam(text: str, size: Size) -> Calibration:
-    """Settings of ORB-SLAM: one pinhole, and for rectified pairs its baseline times fx."""
-    found = dict(re.findall(r"^(?:Camera1?|Stereo)\.(\w+)\s*:\s*(\S+)", text, re.MULTILINE))
-    kind = re.search(r"^Camera\.type\s*:\s*\W*(\w+)", text, re.MULTILINE)
-    if kind and kind[1].lower() not in ("pinhole", "rectified"):
-        raise CalibrationError(f"Camera.type '{kind[1]}' is not supported, PinHole is")
-    matrix = _matrix_of(*(float(found[name]) for name in ("fx", "fy", "cx", "cy")))
-    size = int(found.get("width", size[0])), int(found.get("height", size[1]))
-    baseline = float(found["bf"]) / matrix[0, 0] if "bf" in found else float(found.get("b", 0.0))
-    if baseline > 0.0:
-        left, right = _pinhole(matrix, size), _pinhole(matrix, size, -matrix[0, 0] * baseline)
-        return Calibration((left, right), is_rectified=True)
-    distortion = [float(found.get(name, 0.0)) for name in ("k1", "k2", "p1", "p2", "k3")]
-    return Calibration((_raw(matrix, distortion, "radtan", size),), is_rectified=False)
+def _orb_slam(path: Path, text: str, size: Size) -> Calibration:
+    """One camera, a pair by a baseline (none of a depth camera), or raw by T_c1_c2, 2 to 1."""
+    found = dict(re.findall(r"^(\w+\.\w+)[ \t]*:[ \t]*\"?([^\s\"#]+)", text, re.MULTILINE))
+    kind = found.get("Camera.type", "PinHole")
+    is_fisheye = kind.lower() == "kannalabrandt8"
+    if not is_fisheye and kind.lower() not in ("pinhole", "rectified"):
+        raise CalibrationError(f"Camera.type '{kind}' is neither PinHole nor KannalaBrandt8")
+    size = int(found.get("Camera.width", size[0])), int(found.get("Camera.height", size[1]))
+    names = "k1 k2 k3 k4" if is_fisheye else "k1 k2 p1 p2 k3"
+
+    def camera(name: str) -> CameraCalibration:
+        matrix = _matrix_of(*(float(found[f"{name}.{part}"]) for part in ("fx", "fy", "cx", "cy")))
+        numbers = [float(found.get(f"{name}.{part}", 0.0)) for part in names.split()]
+        return _raw(matrix, numbers, "equidistant" if is_fisheye else "radtan", size)
+
+    first = camera("Camera1" if "Camera1.fx" in found else "Camera")
+    if "Camera2.fx" in found and "Stereo.T_c1_c2" in text:
+        storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
+        T = _transform(storage.getNode("Stereo.T_c1_c2").mat(), "Stereo.T_c1_c2")
+        return Calibration((first, camera("Camera2")), invert_transform(T), is_rectified=False)
+    matrix = first.intrinsics
+    shift = float(found.get("Camera.bf", float(found.get("Stereo.b", 0.0)) * matrix[0, 0]))
+    if shift > 0.0 and not is_fisheye and "DepthMapFactor" not in text:
+        pair = _pinhole(matrix, size), _pinhole(matrix, size, -shift)
+        return Calibration(pair, is_rectified=True)
+    return Calibration((first,), is_rectified=False)
+
+
+def _camodocal(path: Path, text: str) -> Calibration:
+    """A camera of VINS, or the file that names two and has their poses on the body."""
+    names = re.findall(r"^cam[01]_calib[ \t]*:[ \t]*\"?([^\s\"#]+)", text, re.MULTILINE)
+    if not names:
+        return Calibration((_camodocal_camera(text),), is_rectified=False)
+    cameras = tuple(_camodocal_camera(_text_of(path.parent / name)) for name in names)
+    storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
+    poses = [storage.getNode(f"body_T_cam{number}").mat() for number in range(len(cameras))]
+    if any(pose is None for pose in poses):  # VINS estimates them
+        return Calibration(cameras, is_rectified=False)
+    bodies = [invert_transform(_transform(pose, "body_T_cam")) for pose in poses]
+    T = bodies[1] @ invert_transform(bodies[0]) if len(bodies) > 1 else None
+    return Calibration(cameras, T, bodies[0], is_rectified=False)
+
+
+def _camodocal_camera(text: str) -> CameraCalibration:
+    found = dict(re.findall(r"^[ \t]*(\w+)[ \t]*:[ \t]*\"?([^\s\"#]+)", text, re.MULTILINE))
+    kind = found["model_type"]
+    if kind not in _CAMODOCAL:
+        raise CalibrationError(f"model_type '{kind}' is none of {', '.join(_CAMODOCAL)}")
+    model, focal, distortion = _CAMODOCAL[kind]
+    matrix = _matrix_of(*(float(found[name]) for name in focal.split()))
+    numbers = [float(found[name]) for name in distortion.split()]
+    return _raw(matrix, numbers, model, (int(found["image_width"]), int(found["image_height"])))
 
 
 def _kitti(text: str, size: Size, path: Path) -> Calibration:

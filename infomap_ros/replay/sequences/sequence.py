@@ -69,10 +69,10 @@ class Stream:
     def _image(self, stamp: int, path: Path) -> ImageRecord:
         pixels = self.change(read_image(path))
         size = pixels.shape[1], pixels.shape[0]
-        told = self.calibration.width, self.calibration.height
-        if size != told:
+        expected = self.calibration.width, self.calibration.height
+        if size != expected:
             raise BagError(
-                f"{path} has {size[0]}x{size[1]} px, its calibration {told[0]}x{told[1]}"
+                f"{path} has {size[0]}x{size[1]} px, its calibration {expected[0]}x{expected[1]}"
             )
         if self.name == "depth":
             encoding = "16UC1" if pixels.dtype == np.uint16 else "32FC1"

@@ -9,9 +9,11 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
+from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
 
 from infomap_ros.geometry.config import check_config, setting
-from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.geometry.transforms import FloatArray, make_transform
 from infomap_ros.motion.base.path_following import PathFollower, PathFollowingConfig, wrap
 from infomap_ros.simulation.body.robot_body import RobotBody
 
@@ -68,8 +70,8 @@ class DriveTrain:
         self._signs = np.array([np.sign(axis[1]) for axis in axes])
         places = np.array([wheel.place for wheel in wheels])
         self.gain = config.turn_gain or _gain_by_geometry(places, body.setup.rollers)
-        self._turned = self._told = 0.0  # sums of squares and products of turn rates
-        self._way_turned = 0.0
+        self._turned = self._commanded = 0.0  # sums of squares and products of turn rates
+        self._total_turn = 0.0
         self.restart()
 
     def restart(self) -> None:
@@ -80,7 +82,7 @@ class DriveTrain:
 
     @property
     def is_still(self) -> bool:
-        """Whether the wheels are told to stand."""
+        """Whether the wheels are commanded to stand."""
         return self._speed == 0.0 and self._turn_rate == 0.0
 
     def update(self, speed: float, turn_rate: float, period: float) -> None:
@@ -121,14 +123,14 @@ class DriveTrain:
         if self._turn_rate != 0.0:
             turned = float(self._body.base_velocity[5])
             wheels = -float(rolled @ self._sides / (self._sides @ self._sides))
-            self._told += wheels * turned
+            self._commanded += wheels * turned
             self._turned += turned**2
-            self._way_turned += abs(turned) * period
+            self._total_turn += abs(turned) * period
 
     @property
     def fitting_gain(self) -> float:
-        """The gain by which the base would have turned as it was told; 0 before it has turned."""
-        return self._told / self._turned if self._way_turned > _ENOUGH_TURNED else 0.0
+        """The gain by which the base would have turned as commanded; 0 before it has turned."""
+        return self._commanded / self._turned if self._total_turn > _ENOUGH_TURNED else 0.0
 
     @property
     def advice(self) -> str:
@@ -142,8 +144,8 @@ class DriveTrain:
             f"turned {fitting:.2g} fits"
         )
 
-    def way(self) -> float:
-        """Way of the wheels since the last call, mean of both sides [m]."""
+    def distance_rolled(self) -> float:
+        """Distance of the wheels since the last call, mean of both sides [m]."""
         angles = self._body.wheel_angles
         turned, self._last = self._signs * (angles - self._last), angles
         left = self._sides > 0.0
@@ -167,6 +169,11 @@ def planar(transform: FloatArray) -> FloatArray:
     return np.array([transform[0, 3], transform[1, 3], yaw])
 
 
+def level_pose(place: ArrayLike, yaw: float) -> FloatArray:
+    """Pose of a base at a place, shape (3,) [m], that is not tilted, shape (4, 4)."""
+    return make_transform(Rotation.from_euler("z", yaw).as_matrix(), place)
+
+
 _TILT_MARGIN = 0.1  # [rad]
 
 
@@ -179,7 +186,7 @@ class BaseMotionConfig:
     stuck_time: ClassVar[float] = 4.0
     """Without progress for so long it is stuck, and stops [s]."""
     stuck_distance: ClassVar[float] = 0.02
-    """What counts as progress: such a way... [m]"""
+    """What counts as progress: such a distance... [m]"""
     stuck_angle: ClassVar[float] = 0.05
     """...or such a turn [rad]."""
 

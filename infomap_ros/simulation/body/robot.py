@@ -37,7 +37,8 @@ _STL = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute",
 def with_absolute_meshes(xml: str, path: Path) -> str:
     """A URDF whose mesh files can be found from anywhere.
 
-    Relative names, and ``package://`` names of a folder above the file, become ``file://`` ones.
+    Relative names, and ``package://`` names of a folder above the file or of a package that
+    `find_description` finds, become ``file://`` ones.
 
     Args:
         xml: text of the URDF.
@@ -61,7 +62,7 @@ def with_absolute_meshes(xml: str, path: Path) -> str:
 def _located(name: str, folder: Path) -> Path | None:
     if name.startswith(_PACKAGE):
         inside = name.removeprefix(_PACKAGE)
-        candidates = [above / inside for above in (folder, *folder.parents)]
+        candidates = [root / inside for root in (folder, *folder.parents, *_package_roots())]
     elif "://" in name:
         return None
     else:
@@ -117,7 +118,8 @@ def unreadable_meshes(description: str) -> list[str]:
 
 
 def _is_readable(mesh: ElementTree.Element) -> bool:
-    return mesh.get("filename", "").lower().endswith(_READABLE)
+    name = mesh.get("filename", "").removeprefix(_SCHEME)
+    return name.lower().endswith(_READABLE) and Path(name).is_file()
 
 
 def _as_stl(mesh: ElementTree.Element) -> dict[str, bytes]:

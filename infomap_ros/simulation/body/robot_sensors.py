@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from infomap_ros.geometry import (
@@ -14,7 +16,9 @@ from infomap_ros.geometry import (
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.simulation.body.robot_body import RobotBody
 from infomap_ros.simulation.body.wheel_odometry import WheelOdometry
-from infomap_ros.simulation.simulator_config import SimulatorConfig
+
+if TYPE_CHECKING:
+    from infomap_ros.simulation.simulator import SimulatorConfig
 
 
 class RobotSensors:

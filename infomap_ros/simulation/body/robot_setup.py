@@ -79,7 +79,7 @@ class RobotSetupConfig:
         high=0.2,
     )
     suspension_travel: ClassVar[float] = 0.04
-    """Way of a wheel up and down from rest [m]."""
+    """Travel of a wheel up and down from rest [m]."""
     suspension_warp: ClassVar[float] = 0.05
     """Stiffness against uneven ground, as share of that against a shift of the load."""
     suspension_damping: ClassVar[float] = 0.4

@@ -60,7 +60,7 @@ class TrialModel:
         wheels: the driven wheels.
         home: start position of every servo joint [rad or m].
         inertia: largest inertia that each servo joint moves [kg m^2 or kg].
-        locked: joints whose limits leave them no way.
+        locked: joints whose limits leave them no travel.
         touching: pairs of links that do not collide: they are joined, or their solids overlap
             at home or at rest.
     """
@@ -121,7 +121,7 @@ def _require(kind: str, wanted: tuple[str, ...], known: list[str]) -> None:
 
 
 def _without_range(description: str) -> set[str]:
-    """Joints whose limits leave them no way."""
+    """Joints whose limits leave them no travel."""
     found = set()
     for joint in ElementTree.fromstring(description).findall("joint"):
         limit = joint.find("limit")

@@ -1,4 +1,4 @@
-"""Dead reckoning as a robot does it: wheel encoders for the way, a gyroscope for the turns.
+"""Dead reckoning as a robot does it: wheel encoders for the distance, a gyroscope for the turns.
 
 What the wheels slip, the encoders do not see. Roll and pitch come from the gyroscope, corrected by
 gravity; heading comes from the gyroscope alone and drifts.
@@ -19,6 +19,7 @@ from infomap_ros.errors import SimulationError
 from infomap_ros.geometry import invert_transform, make_transform, skew
 from infomap_ros.geometry.config import check_config, parameter, setting
 from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.simulation.body.base_motion import level_pose, planar
 
 
 @dataclass(frozen=True)
@@ -26,11 +27,11 @@ class OdometryConfig:
     """Parameters of the dead reckoning."""
 
     slip: float = parameter(
-        0.03, "Standard deviation of the wheels' constant slip, share of the way", low=0.0, high=1.0
+        0.03, "Standard deviation of wheels' constant slip, share of distance", low=0.0, high=1.0
     )
     translation_noise: float = parameter(
         0.01,
-        "Position noise after 1 m, grows with the root of the way",
+        "Position noise after 1 m, grows with the root of the distance",
         unit="m",
         low=0.0,
         high=1.0,
@@ -79,7 +80,7 @@ class Odometry:
         self._transform = np.eye(4)
         self._last_truth: FloatArray | None = None
         self._noise = np.zeros((6, 6))
-        self._way = np.zeros(3)
+        self._displacement = np.zeros(3)
 
     def step(self, T_world_base: FloatArray, duration: float) -> OdometryEstimate:
         """Advance to the present true pose, shape (4, 4), `duration` [s] after the last one."""
@@ -111,17 +112,17 @@ class Odometry:
         forward[:3, 3:] = -skew(step)
         spread = np.kron(np.eye(2), rotation)
         self._noise = forward @ self._noise @ forward.T + spread @ np.diag(sigma**2) @ spread.T
-        self._way += step
+        self._displacement += step
         turn = make_transform(Rotation.from_rotvec(turned).as_matrix(), moved)
         self._transform = self._transform @ turn
 
     def _covariance(self) -> FloatArray:
-        """Noise plus the slip, which is the same at every step and so grows along the way."""
-        slip = np.concatenate([self._way, np.zeros(3)]) * self._config.slip
+        """Noise plus the slip, which is the same at every step and so grows along the path."""
+        slip = np.concatenate([self._displacement, np.zeros(3)]) * self._config.slip
         return self._noise + np.outer(slip, slip) + _STANDSTILL
 
 
-_COUNTED = ("scale", "gyro_scale", "position", "heading", "noise", "way", "turned")
+_COUNTED = ("scale", "gyro_scale", "position", "heading", "noise", "displacement", "turned")
 
 
 @dataclass(frozen=True)
@@ -132,9 +133,9 @@ class WheelOdometryConfig:
         0.01, "Standard deviation of the wheel radius' error, as share.", low=0.0, high=0.5
     )
     encoder_noise: ClassVar[float] = 0.004
-    """Noise of the way after 1 m, grows with its root [m]."""
+    """Noise of the distance after 1 m, grows with its root [m]."""
     slip: ClassVar[float] = 0.05
-    """Slip that is to be expected, as share of the way."""
+    """Slip that is to be expected, as share of the distance."""
     side_slip: ClassVar[float] = 0.04
     """Slip in any direction after 1 m, grows with its root [m]."""
     turn_slip: ClassVar[float] = 0.05
@@ -169,42 +170,40 @@ class WheelOdometry:
         self._config, self._rng = config, rng
         self._scale = 1.0 + rng.normal(0.0, config.scale_error)
         self._gyro_scale = 1.0 + rng.normal(0.0, config.gyro_scale_error)
-        heading = np.arctan2(T_world_base[1, 0], T_world_base[0, 0])
-        level = make_transform(Rotation.from_euler("z", heading).as_matrix(), T_world_base[:3, 3])
-        self.T_world_odom: FloatArray = level
+        self.T_world_odom = level_pose(T_world_base[:3, 3], planar(T_world_base)[2])
         self._last = T_world_base
         self._position = np.zeros(3)
         self._heading = 0.0
         self._noise = np.zeros((6, 6))
         self._noise[3:5, 3:5] = np.eye(2) * config.tilt_noise**2
-        self._way = np.zeros(3)
+        self._displacement = np.zeros(3)
         self._turned = 0.0
         self._twist = np.zeros(6)
         self._sigma = np.zeros(6)
 
-    def step(self, T_world_base: FloatArray, way: float, duration: float) -> None:
+    def step(self, T_world_base: FloatArray, distance: float, duration: float) -> None:
         """Advance by one reading.
 
         Args:
             T_world_base: the present true pose, shape (4, 4): what the gyroscope and gravity feel.
-            way: mean turn of the wheels since the last reading times their radius [m].
+            distance: mean turn of the wheels since the last reading times their radius [m].
             duration: since the last reading [s].
         """
         config = self._config
         motion = self._last[:3, :3].T @ T_world_base[:3, :3]
         self._last = T_world_base
         yaw = float(np.arctan2(motion[1, 0], motion[0, 0]))
-        effort = abs(way) + abs(yaw)
-        sigma_way = config.encoder_noise * np.sqrt(abs(way))
+        effort = abs(distance) + abs(yaw)
+        sigma_distance = config.encoder_noise * np.sqrt(abs(distance))
         sigma_turn = config.gyro_noise * np.sqrt(effort)
-        measured = self._scale * way + self._rng.normal(0.0, sigma_way)
+        measured = self._scale * distance + self._rng.normal(0.0, sigma_distance)
         turn = self._gyro_scale * yaw + self._rng.normal(0.0, sigma_turn)
         self._heading += turn
         rotation = self._rotation(T_world_base)
         step = rotation @ (measured, 0.0, 0.0)
         self._position = self._position + step
-        self._spread(rotation, step, sigma_way, abs(yaw), sigma_turn)
-        self._way += step
+        self._spread(rotation, step, sigma_distance, abs(yaw), sigma_turn)
+        self._displacement += step
         self._turned += turn
         self._twist = np.array([measured, 0.0, 0.0, 0.0, 0.0, turn]) / max(duration, 1e-9)
 
@@ -250,12 +249,12 @@ class WheelOdometry:
         return np.asarray(turn @ truth)
 
     def _spread(
-        self, rotation: FloatArray, step: FloatArray, way: float, yaw: float, turn: float
+        self, rotation: FloatArray, step: FloatArray, distance: float, yaw: float, turn: float
     ) -> None:
         """First-order propagation: dt' = dt - [step] dtheta + R n."""
         forward = np.eye(6)
         forward[:3, 3:] = -skew(step)
-        own = np.diag([way**2, 0.0, 0.0])
+        own = np.diag([distance**2, 0.0, 0.0])
         slip = self._config.side_slip**2 * float(np.linalg.norm(step))
         own += np.diag([1.0, 1.0, 0.1]) * (slip + self._config.turn_slip**2 * yaw)
         self._noise = forward @ self._noise @ forward.T
@@ -265,7 +264,7 @@ class WheelOdometry:
     def _covariance(self) -> FloatArray:
         """Noise, and the scale errors, which are the same all the time."""
         config = self._config
-        scale = np.concatenate([self._way, np.zeros(3)])
+        scale = np.concatenate([self._displacement, np.zeros(3)])
         share = np.hypot(config.scale_error, config.slip)
         covariance = self._noise + np.outer(scale, scale) * share**2 + _STANDSTILL
         covariance[5, 5] += (config.gyro_scale_error * self._turned) ** 2

@@ -9,21 +9,18 @@ pixels. Across the ray, each pixel reads the depth of a place beside it.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import ClassVar, NamedTuple
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from infomap_ros.geometry import CameraCalibration, PinholeCamera, make_transform
-from infomap_ros.geometry.config import check_config, setting
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.simulation.body.robot_body import RobotBody
 from infomap_ros.simulation.cameras.rendering import Renderer
 from infomap_ros.simulation.cameras.stereo_camera import (
     ImageSensor,
-    ImageSensorConfig,
     StereoCamera,
     StereoCameraConfig,
 )
@@ -52,7 +49,6 @@ class Eyes:
     Args:
         body: the robot.
         camera: parameters of the lenses.
-        sensor: parameters of the image sensors.
         rng: source of the images' noise.
 
     Raises:
@@ -63,13 +59,12 @@ class Eyes:
         self,
         body: RobotBody,
         camera: StereoCameraConfig,
-        sensor: ImageSensorConfig,
         rng: np.random.Generator,
     ) -> None:
         self._body = body
         left, right = self.poses()
         self.camera = StereoCamera(camera, float(np.linalg.norm(right[:3, 3] - left[:3, 3])))
-        self._sensor = ImageSensor(sensor, rng)
+        self._sensor = ImageSensor(rng)
         self._renderer: Renderer | None = None
         self._lights: tuple[FloatArray, FloatArray] | None = None
         self._seen_at: FloatArray = np.zeros(0)
@@ -113,32 +108,13 @@ class Eyes:
 
 
 _PATCH = 2.5  # [px] standard deviation of what neighboring pixels share
-
-
-@dataclass(frozen=True)
-class DepthEyeConfig:
-    """Parameters of the depth camera."""
-
-    nearest: float = setting(0.3, "Smallest depth.", unit="m", low=0.0, high=10.0)
-    farthest: float = setting(6.0, "Largest depth.", unit="m", low=0.1, high=100.0)
-    sigma_base: float = setting(0.0012, "Noise at sigma_depth.", unit="m", low=0.0, high=1.0)
-    sigma_quadratic: float = setting(
-        0.0019, "Growth of the noise with (z - sigma_depth)^2.", unit="1/m", low=0.0, high=1.0
-    )
-    sigma_depth: ClassVar[float] = 0.4
-    """Depth at which the noise is smallest [m]."""
-    shared: ClassVar[float] = 0.3
-    """Share of the variance that neighboring pixels have in common."""
-    pixel_sigma: float = setting(
-        0.5, "Standard deviation of the ray across the image.", unit="px", low=0.0, high=5.0
-    )
-    quantization: float = setting(
-        0.001, "Step of the depth values; 0 for none.", unit="m", low=0.0, high=0.1
-    )
-
-    def __post_init__(self) -> None:
-        """Validate all fields."""
-        check_config(self)
+_SHARED = 0.3  # share of the variance that neighboring pixels have in common
+_NEAREST, _FARTHEST = 0.3, 6.0  # depths that are measured [m]
+# Noise at _SIGMA_DEPTH [m], where it is smallest [m], and its growth with the square of the depth
+# beyond [1/m].
+_SIGMA_BASE, _SIGMA_DEPTH, _SIGMA_QUADRATIC = 0.0012, 0.4, 0.0019
+_PIXEL_SIGMA = 0.5  # of the ray across the image [px]
+_QUANTIZATION = 0.001  # step of the depth values [m]
 
 
 class DepthImage(NamedTuple):
@@ -159,7 +135,6 @@ class DepthEye:
     Args:
         body: the robot.
         camera: undistorted camera of the depth image.
-        config: the parameters.
         rng: source of the noise.
     """
 
@@ -167,11 +142,10 @@ class DepthEye:
         self,
         body: RobotBody,
         camera: PinholeCamera,
-        config: DepthEyeConfig,
         rng: np.random.Generator,
     ) -> None:
         self.camera = camera
-        self._body, self._config, self._rng = body, config, rng
+        self._body, self._rng = body, rng
         self._renderer: Renderer | None = None
 
     @property
@@ -198,13 +172,11 @@ class DepthEye:
 
     def measure(self, truth: NDArray[np.float32]) -> NDArray[np.float32]:
         """What the camera makes of true depths, shape (H, W) [m]; NaN = nothing there."""
-        config = self._config
         z = self._beside(truth)
-        spread = config.sigma_base + config.sigma_quadratic * (z - config.sigma_depth) ** 2
+        spread = _SIGMA_BASE + _SIGMA_QUADRATIC * (z - _SIGMA_DEPTH) ** 2
         z = z + spread * self._noise(z.shape)
-        if config.quantization:
-            z = np.rint(z / config.quantization) * config.quantization
-        in_range = (z >= config.nearest) & (z <= config.farthest)
+        z = np.rint(z / _QUANTIZATION) * _QUANTIZATION
+        in_range = (z >= _NEAREST) & (z <= _FARTHEST)
         return np.where(in_range, z, np.nan).astype(np.float32)
 
     def close(self) -> None:
@@ -216,7 +188,7 @@ class DepthEye:
     def _beside(self, depth: NDArray[np.float32]) -> FloatArray:
         """Each pixel from a place beside it."""
         rows, columns = np.indices(depth.shape)
-        shifts = self._rng.normal(0.0, self._config.pixel_sigma, (2, *depth.shape))
+        shifts = self._rng.normal(0.0, _PIXEL_SIGMA, (2, *depth.shape))
         v = (rows + shifts[0]).astype(np.float32)
         u = (columns + shifts[1]).astype(np.float32)
         moved = cv2.remap(depth, u, v, cv2.INTER_NEAREST, borderMode=cv2.BORDER_REPLICATE)
@@ -227,5 +199,5 @@ class DepthEye:
         white, rough = self._rng.standard_normal((2, *shape))
         smooth = cv2.GaussianBlur(rough, (0, 0), _PATCH)
         smooth *= 2.0 * np.sqrt(np.pi) * _PATCH  # back to unit variance
-        share = self._config.shared
+        share = _SHARED
         return np.asarray(np.sqrt(1.0 - share) * white + np.sqrt(share) * smooth)

@@ -13,20 +13,20 @@ from numpy.typing import NDArray
 from infomap_ros.errors import SimulationError
 from infomap_ros.geometry import PinholeCamera
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.simulation import backend
+from infomap_ros.simulation import ADVICE
 
 import mujoco  # isort: skip  # after the backend has been chosen
 
 _LOGGER = logging.getLogger(__name__)
 
 
-def _tell(warning: str) -> None:
+def _log(warning: str) -> None:
     """Log what MuJoCo would write into a file of the current folder."""
     level = logging.DEBUG if "ignored" in warning else logging.WARNING
     _LOGGER.log(level, "MuJoCo: %s", warning)
 
 
-mujoco.set_mju_user_warning(_tell)
+mujoco.set_mju_user_warning(_log)
 
 COLLISION_GROUP = 3
 """Geoms of this group collide but are not drawn."""
@@ -69,7 +69,7 @@ class Renderer:
         try:
             self._renderer = mujoco.Renderer(model, height, width)
         except (ImportError, AttributeError, RuntimeError, OSError, mujoco.FatalError) as error:
-            raise SimulationError(f"{backend.ADVICE} ({error})") from error
+            raise SimulationError(f"{ADVICE} ({error})") from error
         self._options = mujoco.MjvOption()
         self._options.geomgroup[COLLISION_GROUP] = 0
 

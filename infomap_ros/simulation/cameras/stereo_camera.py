@@ -10,7 +10,6 @@ From light to gray values: exposure, vignetting, shot noise, read noise, quantiz
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 import cv2
 import numpy as np
@@ -32,6 +31,14 @@ import mujoco  # isort: skip  # after the backend has been chosen
 
 
 _LUMINANCE = np.array((0.299, 0.587, 0.114), dtype=np.float32)
+# plumb_bob coefficients k1 k2 p1 p2 k3 of the left lens; the right one differs slightly.
+_DISTORTION = (-0.17, 0.045, 0.0006, -0.0004, -0.005)
+_MISALIGNMENT = 0.006  # standard deviation of each raw camera's rotation [rad]
+_FULL_WELL = 9000.0  # electrons at gray value 255; fewer means more shot noise
+_READ_NOISE = 14.0  # standard deviation, in electrons
+_VIGNETTING = 0.25  # share of light that is lost in the corners
+_TARGET_LEVEL = 115.0  # median gray value that the exposure control aims at
+_EXPOSURE_STEP = 0.125  # of the exposure control, as power of two
 
 
 @dataclass(frozen=True)
@@ -43,14 +50,6 @@ class StereoCameraConfig:
     field_of_view: float = parameter(
         1.30, "Horizontal opening of the rectified image", unit="rad", low=0.1, high=2.2
     )
-    distortion: tuple[float, ...] = setting(
-        (-0.17, 0.045, 0.0006, -0.0004, -0.005),
-        "plumb_bob coefficients k1 k2 p1 p2 k3 of the left lens; the right one differs slightly",
-        low=-2.0,
-        high=2.0,
-    )
-    misalignment: ClassVar[float] = 0.006
-    """Standard deviation of each raw camera's rotation [rad]"""
     supersampling: int = setting(
         2, "Samples per pixel and direction; more means cleaner edges", low=1, high=4
     )
@@ -195,55 +194,28 @@ def _calibration(
         config.width,
         config.height,
         "plumb_bob",
-        np.asarray(config.distortion) * (1.0 + rng.normal(0.0, 0.03, 5)),
+        np.asarray(_DISTORTION) * (1.0 + rng.normal(0.0, 0.03, 5)),
         intrinsics,
-        Rotation.from_rotvec(rng.normal(0.0, config.misalignment, 3)).as_matrix(),
+        Rotation.from_rotvec(rng.normal(0.0, _MISALIGNMENT, 3)).as_matrix(),
         projection,
     )
-
-
-@dataclass(frozen=True)
-class ImageSensorConfig:
-    """Parameters of the image sensor."""
-
-    full_well: float = setting(
-        9000.0, "Electrons at gray value 255; fewer means more shot noise", low=50.0, high=1e6
-    )
-    read_noise: float = setting(
-        14.0, "Standard deviation of the read noise, in electrons", low=0.0, high=1000.0
-    )
-    vignetting: float = setting(
-        0.25, "Share of light that is lost in the corners", low=0.0, high=0.95
-    )
-    target_level: float = setting(
-        115.0, "Median gray value that the exposure control aims at", low=1.0, high=254.0
-    )
-    exposure_step: float = setting(
-        0.125, "Step of the exposure control, as power of two", low=0.001, high=2.0
-    )
-
-    def __post_init__(self) -> None:
-        """Validate all fields."""
-        check_config(self)
 
 
 class ImageSensor:
     """One sensor with exposure control; both cameras of a pair use the same exposure.
 
     Args:
-        config: the parameters.
         rng: source of the noise.
     """
 
-    def __init__(self, config: ImageSensorConfig, rng: np.random.Generator) -> None:
-        self.config = config
+    def __init__(self, rng: np.random.Generator) -> None:
         self._rng = rng
         self._steps: int | None = None
 
     @property
     def exposure(self) -> float:
         """Present exposure; at 1 a white surface just saturates."""
-        return float(2.0 ** ((self._steps or 0) * self.config.exposure_step))
+        return float(2.0 ** ((self._steps or 0) * _EXPOSURE_STEP))
 
     def adjust(self, light: FloatArray, images: int = 1) -> None:
         """Move the exposure towards the target level, by one step per image.
@@ -255,7 +227,7 @@ class ImageSensor:
             images: so many are taken of it.
         """
         median = max(float(np.median(light)), 1e-6)
-        wanted = np.log2(self.config.target_level / (255.0 * median)) / self.config.exposure_step
+        wanted = np.log2(_TARGET_LEVEL / (255.0 * median)) / _EXPOSURE_STEP
         if self._steps is None:
             self._steps = round(wanted)
         self._steps += int(np.clip(round(wanted - self._steps), -images, images))
@@ -270,12 +242,11 @@ class ImageSensor:
         Returns:
             Gray values, shape (H, W), uint8.
         """
-        config = self.config
-        electrons = config.full_well * self.exposure * gain * light * self._falloff(light.shape)
-        noisy = self._rng.normal(electrons, np.sqrt(electrons + config.read_noise**2))
-        return np.clip(np.rint(255.0 * noisy / config.full_well), 0, 255).astype(np.uint8)
+        electrons = _FULL_WELL * self.exposure * gain * light * self._falloff(light.shape)
+        noisy = self._rng.normal(electrons, np.sqrt(electrons + _READ_NOISE**2))
+        return np.clip(np.rint(255.0 * noisy / _FULL_WELL), 0, 255).astype(np.uint8)
 
     def _falloff(self, shape: tuple[int, ...]) -> FloatArray:
         """Light that each pixel keeps, falling with the square of the distance to the middle."""
         v, u = (np.linspace(-1.0, 1.0, n) ** 2 for n in shape)
-        return np.asarray(1.0 - 0.5 * self.config.vignetting * (v[:, None] + u[None, :]))
+        return np.asarray(1.0 - 0.5 * _VIGNETTING * (v[:, None] + u[None, :]))

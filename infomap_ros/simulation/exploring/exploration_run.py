@@ -40,7 +40,7 @@ from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.mapping.files.export import write_ply
 from infomap_ros.motion.base.path_following import PathFollowingConfig
 from infomap_ros.motion.robot.robot_model import RobotModel
-from infomap_ros.replay.mapping.map_files import MAP_FILE, PLY_FILE, SUMMARY_FILE
+from infomap_ros.replay.map_files import MAP_FILE, PLY_FILE, SUMMARY_FILE
 from infomap_ros.simulation.body.robot import read_description
 from infomap_ros.simulation.exploring.simulated_robot import SimulatedRobot, SimulatedRobotConfig
 from infomap_ros.simulation.exploring.truth import PoseAudit, RunTruth, TrueSurface
@@ -163,8 +163,8 @@ class _MapPlanner:
         around = Surrounding.of(self.mission)
         return self._planned(self._planner.choose(self._map.current(), state, around))
 
-    def way_to(self, state: RobotState, place: KnownPlace) -> Choice:
-        return self._planned(self._planner.way_to(self._map.current(), state, place))
+    def route_to(self, state: RobotState, place: KnownPlace) -> Choice:
+        return self._planned(self._planner.route_to(self._map.current(), state, place))
 
     def plan_arm(self, state: RobotState, T_map_camera: FloatArray) -> Choice:
         return self._planned(self._planner.plan_arm(self._map.current(), state, T_map_camera))

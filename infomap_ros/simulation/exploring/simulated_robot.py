@@ -34,7 +34,6 @@ from infomap_ros.localization.saved_localization import SavedLocalization
 from infomap_ros.localization.target.config import TargetConfig, make_detector
 from infomap_ros.localization.target.tag_detector import TagTargetConfig
 from infomap_ros.mapping import VoxelMap
-from infomap_ros.mapping.correction.reintegration import ReintegrationConfig
 from infomap_ros.mapping.correction.scan_store import ScanStoreConfig
 from infomap_ros.mapping.scans.body import BodyFilterConfig
 from infomap_ros.messages import RosbagsMessageTypes, decode, encode, message_type_of
@@ -114,7 +113,7 @@ than a millimeter off: there the defaults are right.
 
 
 def _with_kinematics() -> LocalizerConfig:
-    """Odometry and joints tell the way well enough to look at the sky for a while.
+    """Odometry and joints tell the motion well enough to look at the sky for a while.
 
     The simulated camera is exactly as its calibration says.
     """
@@ -150,7 +149,6 @@ class SimulatedRobotConfig:
     images_while_moving: bool = parameter(True, "Take pairs while the robot moves.")
     motion: CommandedRobotConfig = field(default_factory=CommandedRobotConfig)
     localization: SimulatedLocalizationConfig = field(default_factory=SimulatedLocalizationConfig)
-    correction: ReintegrationConfig = field(default_factory=ReintegrationConfig)
     stereo: StereoConfig = field(default_factory=StereoConfig)
     body: BodyFilterConfig = field(default_factory=BodyFilterConfig)
 
@@ -236,9 +234,9 @@ class SimulatedLink:
     ) -> None:
         self._simulator, self._observer, self._teammates = simulator, observer, teammates
         self.model = robot
-        told = config.localization.motion
-        skids = simulator.skids and told == DeadReckoningConfig()
-        self.motion_noise = SKIDDING if skids else told
+        motion = config.localization.motion
+        skids = simulator.skids and motion == DeadReckoningConfig()
+        self.motion_noise = SKIDDING if skids else motion
         self.rig: StereoRig = rig_from_calibrations(*simulator.calibrations)
         sensors = SensorScheduleConfig(
             image_rate=config.image_rate,
@@ -258,7 +256,7 @@ class SimulatedLink:
         self._perception = Perception(_SOURCES, estimator)
         localization = self._localization(robot, config) if config.localizes else None
         store = ScanStoreConfig() if config.localizes else None
-        self._builder = MapBuilder(voxel_map, store, config.correction, config.body)
+        self._builder = MapBuilder(voxel_map, store, config.body)
         body = RobotBody(robot)
         scans: ScanSynchronizer[RangeMeasurement] = ScanSynchronizer(
             LocatedPoses(_MAP_FRAME),
@@ -319,7 +317,7 @@ class SimulatedLink:
         return "trajectory"
 
     @property
-    def tells_results(self) -> bool:
+    def reports_results(self) -> bool:
         """False: what a simulated robot has done is seen, as of one that is driven by topics."""
         return False
 

@@ -271,13 +271,13 @@ def _near_hits(
     Most of the surface of rocks that lie in each other is of that kind.
     """
     origins = np.repeat(cameras, -(-_RAYS // max(1, len(cameras))), axis=0)
-    ways = rng.standard_normal(origins.shape)
-    ways *= max_range / np.linalg.norm(ways, axis=1, keepdims=True)
-    shares = world.surface.first_hits(origins, origins + ways)
+    rays = rng.standard_normal(origins.shape)
+    rays *= max_range / np.linalg.norm(rays, axis=1, keepdims=True)
+    shares = world.surface.first_hits(origins, origins + rays)
     hit = np.isfinite(shares)
     low = points.min(axis=0) - _CELL
     shape = np.floor((points.max(axis=0) - low) / _CELL).astype(int) + 2
-    ends = np.floor((origins[hit] + shares[hit, None] * ways[hit] - low) / _CELL).astype(int)
+    ends = np.floor((origins[hit] + shares[hit, None] * rays[hit] - low) / _CELL).astype(int)
     near = np.zeros(shape, dtype=bool)
     near[tuple(ends[((ends >= 0) & (ends < shape)).all(axis=1)].T)] = True
     near = ndimage.binary_dilation(near, np.ones((3, 3, 3), dtype=bool))

@@ -325,9 +325,9 @@ def _outward(robot: RobotModel, joint: int, link: str) -> FloatArray:
     T_joint_link = _placement(robot, link)
     T_root_link = np.array(data.oMi[joint].homogeneous) @ T_joint_link
     while joint > 0:
-        way = T_root_link[:3, 3] - data.oMi[joint].translation
-        if np.linalg.norm(way) > _SAME_PLACE:
-            local = T_root_link[:3, :3].T @ way
+        offset = T_root_link[:3, 3] - data.oMi[joint].translation
+        if np.linalg.norm(offset) > _SAME_PLACE:
+            local = T_root_link[:3, :3].T @ offset
             axis = int(np.argmax(np.abs(local)))
             return np.asarray(np.sign(local[axis]) * np.eye(3)[axis])
         joint = int(model.parents[joint])

@@ -26,7 +26,7 @@ from infomap_ros.simulation.robots.camera_parts import find_arm_ends, link_exten
 _HEIGHT = 0.9  # of the camera above the ground: over tables, and walls are seen well [m]
 _DOWN = 0.15  # [rad] that it looks down
 _TURN, _ROLL, _LIFT, _SIDE, _AHEAD = 6.0, 1.5, 1.0, 2.0, 2.0  # weights: 1/rad, 1/rad, 1/m ...
-_FOLDING = (0.08, 0.3, 1.2)  # weights of the way to the posture in which it drives [1/rad]
+_FOLDING = (0.08, 0.3, 1.2)  # weights of the distance to the posture in which it drives [1/rad]
 _OVER_BASE = 0.3  # from the origin of the base to where a camera ahead costs nothing [m]
 _IN_VIEW = 20.0  # cost of a body that fills the image
 _HALF_VIEW = 0.65  # [rad]
@@ -39,7 +39,7 @@ def home_posture(robot: RobotModel, others: Mapping[str, float] | None = None) -
     The camera looks ahead along x of the base and 0.15 rad down, upright, about 0.9 m above the
     ground and over the middle of the base, with little of the body in its view, not far from the
     posture in which the robot drives; nothing touches. Where the arm cannot be folded for the drive
-    within the space that is declared clear about a start, the way there counts for more.
+    within the space that is declared clear about a start, the distance there counts for more.
 
     Args:
         robot: with its camera.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import fnmatch
 import re
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -49,9 +49,13 @@ _FEWEST_WHEELS = 3  # on which planning can have it stand
 _BASELINE = 0.06  # of cameras that are assumed, as of common stereo cameras [m]
 _SPARE = 0.02  # from the last solid of the arm to a camera that is added [m]
 _CART = (0.55, 0.45, 0.3)  # length, width, height [m] under an arm
+_WIDEST_FOOT = 0.35  # of an arm, across [m]
+_NEAR_GROUND = 0.015  # [m] of the lowest point of what would drag on it
+_NEAR_ROOT = 0.05  # [m]: a base whose frame is on the ground
 _LOW = 0.3  # what is below is the robot's base [m]
 _VISIBLE = re.compile(r"wheel|caster|footprint", re.IGNORECASE)  # of robots with a base
 _CAMERA = re.compile(r"cam", re.IGNORECASE)
+_PACKAGE = re.compile(r"package://[^/]+/")
 _FIXED = "fixed on the base"
 _GAIN_DIFFERS = 1.3  # by this factor a measured gain is written down
 
@@ -112,6 +116,8 @@ class _Reading:
 
     def result(self, place: str) -> RobotReading:
         bare = RobotModel.from_urdf(self._text, base_frame=self._setup.base_frame)
+        if bare.missing:
+            raise RobotModelError(self._missing(bare.missing))
         self._say_base(bare)
         self._find_telescopes(bare)
         self._find_wheels(bare)
@@ -147,6 +153,16 @@ class _Reading:
         self._guesses.append(f"{name}: {text}")
         self._reasons[name] = f"GUESSED: {short}"
 
+    def _missing(self, meshes: Sequence[str]) -> str:
+        """What to do about collision meshes without which nothing can be planned."""
+        names = [mesh.get("filename", "") for mesh in self._tree.iter("mesh")]
+        packages = dict.fromkeys(name.split("/")[2] for name in names if _PACKAGE.match(name))
+        which = f"the folder that holds {', '.join(packages)} must be in ROS_PACKAGE_PATH"
+        advice = (
+            f"{which}, or its workspace be sourced" if packages else "they lie as it names them?"
+        )
+        return f"{len(meshes)} collision meshes cannot be read ({meshes[0]} ...): {advice}"
+
     def _say_base(self, robot: RobotModel) -> None:
         moving = len(robot.joints)
         self._said.append(
@@ -170,10 +186,12 @@ class _Reading:
             self._take_wheels(wheels)
             return
         extents = link_extents(robot)
-        rolls = any(_VISIBLE.search(name) for name in robot.frames)
+        rolls = any(_VISIBLE.search(name) for name in robot.frames) or _is_base(extents, robot)
         cart = _base_size(list(extents.values())) if rolls else _CART
         kind = "wheels that turn are missing" if rolls else "it is an arm without a base"
         base = self._setup.base_frame if rolls else CART
+        lowest = min((low[2] for low, _ in extents.values()), default=0.0) + _NEAR_GROUND
+        low_links = [name for name, (low, _) in extents.items() if low[2] < lowest]
         left, right = CART_WHEELS
         self._setup = replace(
             self._setup,
@@ -182,6 +200,7 @@ class _Reading:
             left_wheels=left,
             right_wheels=right,
             casters=CART_CASTERS,
+            hovering=tuple(low_links) if rolls else (),
         )
         size = " x ".join(f"{side:g}" for side in cart)
         text = f"{kind}; a base of {size} m with two driven wheels and casters is put under it"
@@ -219,10 +238,14 @@ class _Reading:
             self._mount(robot, arm, best)
             return
         if best is None:
-            raise RobotModelError(
-                f"robot '{robot.name}' has no link with 'optical' in its name, and no arm; "
-                "--camera LINK puts a camera on a link"
-            )
+            self._wanted = next(filter(_CAMERA.search, robot.frames), "")
+            if not self._wanted:
+                raise RobotModelError(
+                    f"robot '{robot.name}' has no arm, and no link with 'optical' or 'cam' in its "
+                    f"name; --camera LINK puts a camera on one of {', '.join(robot.frames[:4])} ..."
+                )
+            self._take_wanted(robot, cameras, arms)
+            return
         self._take(best)
         rivals = [c.frame for c in cameras[1:] if len(c.joints) == len(best.joints)]
         if rivals:
@@ -368,7 +391,9 @@ class _Reading:
             self._gain = float(round(min(max(turned, 0.5), 5.0), 2))
             text = f"{self._gain:g}, by a turn in simulation (by geometry {trial.gain:.2g})"
             self._guess("drive.turn_gain", text, "measured by a turn in simulation")
-        problem = trial.problem or ("" if trial.turns else "told to turn by 3 rad, it hardly turns")
+        problem = trial.problem or (
+            "" if trial.turns else "commanded to turn by 3 rad, it hardly turns"
+        )
         if problem:
             wheels = ", ".join(self._setup.wheels)
             self._warnings.append(f"it does not drive on {wheels}: {problem}")
@@ -434,6 +459,15 @@ def _optical_on(forward: FloatArray, T_base_link: FloatArray) -> FloatArray:
     ]
     y = max(across, key=lambda axis: float(axis @ down))
     return np.column_stack([np.cross(y, forward), y, forward])
+
+
+def _is_base(extents: Mapping[str, tuple[FloatArray, FloatArray]], robot: RobotModel) -> bool:
+    """Whether what no joint moves is too wide for the foot of an arm, and stands on the ground."""
+    still = np.array([extents[shape.link] for shape in robot.shapes if shape.joint == 0])
+    if not len(still):
+        return False
+    low, high = still[:, 0].min(axis=0), still[:, 1].max(axis=0)
+    return bool((high - low)[:2].min() > _WIDEST_FOOT and low[2] > -_NEAR_ROOT)
 
 
 def _base_size(extents: Sequence[tuple[FloatArray, FloatArray]]) -> tuple[float, float, float]:

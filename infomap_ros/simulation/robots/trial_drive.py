@@ -71,7 +71,7 @@ def try_drive(description: str, setup: RobotSetupConfig) -> TrialDrive:
     driven = float(planar(np.linalg.inv(start) @ robot.true_pose())[0])
     problem = robot.problem
     if not problem and driven < _LEAST_SHARE * _SPEED * _DRIVING:
-        problem = f"told to drive {_SPEED * _DRIVING:.1f} m ahead, it drives {driven:.2f} m"
+        problem = f"commanded to drive {_SPEED * _DRIVING:.1f} m ahead, it drives {driven:.2f} m"
     return TrialDrive(True, turns, robot.turn_gain, gain, problem, _contacts(robot))
 
 

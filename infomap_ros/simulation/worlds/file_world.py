@@ -201,10 +201,10 @@ def _surface_of(triangles: FloatArray) -> SurfaceModel:
 def _plan(path: Path, walls: float) -> _Content:
     """The walls of a floor plan as map_server writes it."""
     try:
-        told = yaml.safe_load(path.read_text())
-        image, edge = path.parent / str(told["image"]), float(told["resolution"])
-        x, y = (float(value) for value in told["origin"][:2])
-        limit, negate = float(told.get("occupied_thresh", 0.65)), bool(told.get("negate", 0))
+        content = yaml.safe_load(path.read_text())
+        image, edge = path.parent / str(content["image"]), float(content["resolution"])
+        x, y = (float(value) for value in content["origin"][:2])
+        limit, negate = float(content.get("occupied_thresh", 0.65)), bool(content.get("negate", 0))
     except (OSError, yaml.YAMLError, LookupError, TypeError, ValueError, RecursionError) as error:
         raise InvalidInputError("world", f"{path} is no map_server file ({error!r})") from error
     gray = cv2.imread(str(image), cv2.IMREAD_GRAYSCALE)
@@ -320,8 +320,8 @@ def _room(surface: SurfaceModel, places: FloatArray) -> FloatArray:
 def _walls_around(surface: SurfaceModel, places: FloatArray) -> NDArray[np.int64]:
     """In how many of four directions something stands, shape (N,)."""
     origins = np.column_stack([places, np.full(len(places), _HEIGHTS[1])])
-    ways = _FAR * np.array([(1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (-1.0, 0.0, 0.0), (0.0, -1.0, 0.0)])
-    hits = [np.isfinite(surface.first_hits(origins, origins + way)) for way in ways]
+    rays = _FAR * np.array([(1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (-1.0, 0.0, 0.0), (0.0, -1.0, 0.0)])
+    hits = [np.isfinite(surface.first_hits(origins, origins + ray)) for ray in rays]
     return np.asarray(np.sum(hits, axis=0))
 
 

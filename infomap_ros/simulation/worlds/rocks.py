@@ -97,7 +97,7 @@ class Places:
 
     Args:
         rng: source of randomness.
-        gap: free way between two discs [m].
+        gap: free distance between two discs [m].
     """
 
     def __init__(self, rng: np.random.Generator, gap: float) -> None:

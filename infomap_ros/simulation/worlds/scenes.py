@@ -18,14 +18,13 @@ from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.simulation.worlds import textures
 from infomap_ros.simulation.worlds.builder import SceneBuilder, World
-from infomap_ros.simulation.worlds.cave import CaveConfig, cave
 from infomap_ros.simulation.worlds.file_world import (
     WORLD_FILES,
     FileWorldConfig,
     file_world,
     is_world_file,
 )
-from infomap_ros.simulation.worlds.mars import MarsConfig, mars
+from infomap_ros.simulation.worlds.natural import CaveConfig, MarsConfig, cave, mars
 from infomap_ros.simulation.worlds.office import OfficeConfig, office
 from infomap_ros.simulation.worlds.rocks import boulder
 from infomap_ros.simulation.worlds.terrain import Terrain, rough_terrain
@@ -128,6 +127,12 @@ def scene_of(name: str, seed: int, **parameters: Any) -> tuple[str, Any]:
         return name, SCENES[name].config(seed=seed, **parameters)
     except TypeError as error:
         raise InvalidInputError("world", f"'{name}': {error}") from error
+
+
+def without_target(name: str) -> dict[str, Any]:
+    """Parameters of a world of that name in which there is no board with tags; none for a file."""
+    fields = {field.name for field in dataclasses.fields(SCENES[name].config)}
+    return {key: 0 for key in ("target", "target_distance") if key in fields}
 
 
 def make_world(name: str, seed: int, description: str = "", **parameters: Any) -> World:

@@ -113,7 +113,7 @@ class SurfaceModel:
             ends: shape (N, 3), world frame [m].
 
         Returns:
-            Share of the way from origin to end, shape (N,); inf where nothing is met.
+            Share of the segment from origin to end, shape (N,); inf where nothing is met.
         """
         first = np.ascontiguousarray(origins, dtype=np.float64)
         last = np.ascontiguousarray(ends, dtype=np.float64)
@@ -284,7 +284,7 @@ _PARALLEL = 1e-14
 
 @njit(nogil=True, cache=True)
 def first_hits(origins, ends, triangles, starts, members, low, shape, cell):  # type: ignore[no-untyped-def]
-    """Share of the way from each origin to its end at which it first meets a triangle; inf = never.
+    """Share of the segment from each origin to its end at which it meets a triangle; inf = never.
 
     Args:
         origins: shape (N, 3).
@@ -318,7 +318,7 @@ def seen_by_count(  # type: ignore[no-untyped-def]
     """
     nearest, farthest, cosine, lowest, highest, lift = limits
     counts = np.zeros(len(points), np.int64)
-    origin, way = np.empty(3), np.empty(3)
+    origin, ray = np.empty(3), np.empty(3)
     for n in range(len(points)):
         asked = 0
         stride = 7919  # so that neighbors in the list, which see alike, are not asked in a row
@@ -327,17 +327,17 @@ def seen_by_count(  # type: ignore[no-untyped-def]
             squared = incidence = 0.0
             for axis in range(3):
                 origin[axis] = points[n, axis] + lift * normals[n, axis]
-                way[axis] = cameras[c, axis] - origin[axis]
-                squared += way[axis] * way[axis]
-                incidence += way[axis] * normals[n, axis]
+                ray[axis] = cameras[c, axis] - origin[axis]
+                squared += ray[axis] * ray[axis]
+                incidence += ray[axis] * normals[n, axis]
             if squared > farthest * farthest or squared < nearest * nearest:
                 continue
             distance = np.sqrt(squared)
-            elevation = -way[2] / distance
+            elevation = -ray[2] / distance
             if incidence < cosine * distance or elevation < lowest or elevation > highest:
                 continue
             asked += 1
-            if first_hit(origin, way, triangles, starts, members, low, shape, cell) > 1.0:
+            if first_hit(origin, ray, triangles, starts, members, low, shape, cell) > 1.0:
                 counts[n] += 1
             if counts[n] >= enough or asked >= tries:
                 break
@@ -345,16 +345,16 @@ def seen_by_count(  # type: ignore[no-untyped-def]
 
 
 @njit(nogil=True, cache=True)
-def first_hit(origin, way, triangles, starts, members, low, shape, cell):  # type: ignore[no-untyped-def]
-    """As `first_hits` for one line from `origin` along `way`, both of shape (3,)."""
+def first_hit(origin, ray, triangles, starts, members, low, shape, cell):  # type: ignore[no-untyped-def]
+    """As `first_hits` for one line from `origin` along `ray`, both of shape (3,)."""
     entry, leave = 0.0, 1.0
     for axis in range(3):
         first, last = low[axis], low[axis] + shape[axis] * cell
-        if way[axis] == 0.0:
+        if ray[axis] == 0.0:
             if origin[axis] < first or origin[axis] > last:
                 return np.inf
             continue
-        a, b = (first - origin[axis]) / way[axis], (last - origin[axis]) / way[axis]
+        a, b = (first - origin[axis]) / ray[axis], (last - origin[axis]) / ray[axis]
         entry, leave = max(entry, min(a, b)), min(leave, max(a, b))
     if entry > leave:
         return np.inf
@@ -362,26 +362,26 @@ def first_hit(origin, way, triangles, starts, members, low, shape, cell):  # typ
     step = np.zeros(3, np.int64)
     border, width = np.full(3, np.inf), np.full(3, np.inf)
     for axis in range(3):
-        place = (origin[axis] + entry * way[axis] - low[axis]) / cell
+        place = (origin[axis] + entry * ray[axis] - low[axis]) / cell
         index[axis] = min(max(int(np.floor(place)), 0), shape[axis] - 1)
-        if way[axis] != 0.0:
-            step[axis] = 1 if way[axis] > 0.0 else -1
-            side = low[axis] + (index[axis] + (1 if way[axis] > 0.0 else 0)) * cell
-            border[axis] = (side - origin[axis]) / way[axis]
-            width[axis] = cell / abs(way[axis])
-    return _walk(origin, way, leave, index, step, border, width, triangles, starts, members, shape)
+        if ray[axis] != 0.0:
+            step[axis] = 1 if ray[axis] > 0.0 else -1
+            side = low[axis] + (index[axis] + (1 if ray[axis] > 0.0 else 0)) * cell
+            border[axis] = (side - origin[axis]) / ray[axis]
+            width[axis] = cell / abs(ray[axis])
+    return _walk(origin, ray, leave, index, step, border, width, triangles, starts, members, shape)
 
 
 @njit(nogil=True, cache=True)
 def _walk(  # type: ignore[no-untyped-def]
-    origin, way, leave, index, step, border, width, triangles, starts, members, shape
+    origin, ray, leave, index, step, border, width, triangles, starts, members, shape
 ):
     """Look at the triangles cell by cell until one is hit before its cell is left."""
     best = np.inf
     while True:
         bucket = (index[0] * shape[1] + index[1]) * shape[2] + index[2]
         for m in range(starts[bucket], starts[bucket + 1]):
-            best = min(best, _cut(origin, way, triangles, members[m]))
+            best = min(best, _cut(origin, ray, triangles, members[m]))
         axis = 0
         if border[1] < border[axis]:
             axis = 1
@@ -396,12 +396,12 @@ def _walk(  # type: ignore[no-untyped-def]
 
 
 @njit(nogil=True, cache=True)
-def _cut(origin, way, triangles, t):  # type: ignore[no-untyped-def]
-    """Share of the way at which the line meets triangle t, from either side; inf = never."""
+def _cut(origin, ray, triangles, t):  # type: ignore[no-untyped-def]
+    """Share of the segment at which the line meets triangle t, from either side; inf = never."""
     ax, ay, az = triangles[t, 0]
     ux, uy, uz = triangles[t, 1, 0] - ax, triangles[t, 1, 1] - ay, triangles[t, 1, 2] - az
     vx, vy, vz = triangles[t, 2, 0] - ax, triangles[t, 2, 1] - ay, triangles[t, 2, 2] - az
-    px, py, pz = way[1] * vz - way[2] * vy, way[2] * vx - way[0] * vz, way[0] * vy - way[1] * vx
+    px, py, pz = ray[1] * vz - ray[2] * vy, ray[2] * vx - ray[0] * vz, ray[0] * vy - ray[1] * vx
     determinant = ux * px + uy * py + uz * pz
     if abs(determinant) < _PARALLEL:
         return np.inf
@@ -411,7 +411,7 @@ def _cut(origin, way, triangles, t):  # type: ignore[no-untyped-def]
     if a < 0.0 or a > 1.0:
         return np.inf
     qx, qy, qz = sy * uz - sz * uy, sz * ux - sx * uz, sx * uy - sy * ux
-    b = (way[0] * qx + way[1] * qy + way[2] * qz) * inverse
+    b = (ray[0] * qx + ray[1] * qy + ray[2] * qz) * inverse
     if b < 0.0 or a + b > 1.0:
         return np.inf
     share = (vx * qx + vy * qy + vz * qz) * inverse

@@ -18,7 +18,7 @@ from infomap_ros.studies.baselines.frontiers import (
     level_views,
     places_of,
     scores_of,
-    told_by,
+    shares_of,
 )
 from infomap_ros.views.ranking.options import Options
 from infomap_ros.views.ranking.rating import Ratings
@@ -32,7 +32,7 @@ _RINGS = (0.0, 0.25, 0.5, 0.75)  # distances of views from a cluster [ranges]
 _AZIMUTHS = 12
 _VIEWS = 3  # per cluster
 _LEAST_COVERED = 0.5  # of what the best view of a cluster covers
-_NOTHING = 0.002  # a view that tells less covers nothing [full views]
+_NOTHING = 0.002  # a view that informs less covers nothing [full views]
 _REFINED = 4  # clusters whose views are chosen together
 
 
@@ -68,7 +68,7 @@ class FrontierTour:
 
     def _plan(self, options: Options, ratings: Ratings, places: NDArray[np.int64]) -> FloatArray:
         """Values of the proposed views, shape (N,); views taken in vain are left out."""
-        useful = told_by(options, ratings, places) > _NOTHING
+        useful = shares_of(options, ratings, places) > _NOTHING
         lengths = np.where(useful, options.path_lengths[places], np.inf)
         values = -1e6 - np.minimum(lengths, 1e6)
         usable = np.isfinite(lengths)
@@ -79,18 +79,18 @@ class FrontierTour:
         if not first_of:
             return np.asarray(values)
         stops = np.array(first_of)
-        order = stops[open_tour(lengths[stops], self._ways(options, stops))]
+        order = stops[open_tour(lengths[stops], self._distances(options, stops))]
         refined = self._refined(options, order[:_REFINED], usable, lengths)
         for turn, view in enumerate([*refined, *order[_REFINED:]]):
             values[view] = -float(turn)
         return np.asarray(values)
 
-    def _ways(self, options: Options, views: NDArray[np.int64]) -> FloatArray:
-        """Ways between proposed views, shape (n, n) [m]."""
+    def _distances(self, options: Options, views: NDArray[np.int64]) -> FloatArray:
+        """Distances between proposed views, shape (n, n) [m]."""
         spots = self._proposed[views, :3, 3]
         rows = [options.surroundings.path_lengths_from(spot, spots) for spot in spots]
-        ways = np.array(rows).reshape(len(spots), len(spots))
-        return np.asarray(np.minimum(ways, ways.T))
+        distances = np.array(rows).reshape(len(spots), len(spots))
+        return np.asarray(np.minimum(distances, distances.T))
 
     def _refined(
         self,
@@ -99,16 +99,16 @@ class FrontierTour:
         usable: NDArray[np.bool_],
         lengths: FloatArray,
     ) -> list[int]:
-        """The views of the first clusters that make the way through them shortest."""
+        """The views of the first clusters that make the path through them shortest."""
         layers = [np.flatnonzero(usable & (self._cluster == self._cluster[stop])) for stop in order]
         nodes = np.concatenate(layers)
-        ways = self._ways(options, nodes)
+        distances = self._distances(options, nodes)
         starts = np.cumsum([0, *(len(layer) for layer in layers)])
         cost, back = lengths[layers[0]], []
         for turn in range(1, len(layers)):
             before = slice(starts[turn - 1], starts[turn])
             here = slice(starts[turn], starts[turn + 1])
-            total = cost[:, None] + ways[before, here]
+            total = cost[:, None] + distances[before, here]
             back.append(total.argmin(axis=0))
             cost = total.min(axis=0)
         chosen = [int(cost.argmin())]
@@ -174,7 +174,7 @@ def _outward(frontier: Frontier, surroundings: Surroundings, spot: FloatArray) -
     return np.asarray((weights[:, None] * np.tile(sides, (len(frontier.places), 1))).sum(axis=0))
 
 
-_FAR = 1e6  # stands for no way [m]
+_FAR = 1e6  # stands for no path [m]
 
 
 def open_tour(first: FloatArray, between: FloatArray) -> NDArray[np.int64]:
@@ -184,24 +184,24 @@ def open_tour(first: FloatArray, between: FloatArray) -> NDArray[np.int64]:
     until neither shortens the tour: G. A. Croes 1958, doi:10.1287/opre.6.6.791.
 
     Args:
-        first: ways from the start, shape (n,) [m]; inf where there is none.
-        between: ways between the places, shape (n, n) [m], symmetric.
+        first: distances from the start, shape (n,) [m]; inf where there is none.
+        between: distances between the places, shape (n, n) [m], symmetric.
 
     Returns:
         The order, shape (n,).
     """
     count = len(first)
-    ways = np.full((count + 1, count + 1), 0.0)
-    ways[0, 1:] = np.minimum(first, _FAR)
-    ways[1:, 1:] = np.minimum(between, _FAR)
+    distances = np.full((count + 1, count + 1), 0.0)
+    distances[0, 1:] = np.minimum(first, _FAR)
+    distances[1:, 1:] = np.minimum(between, _FAR)
     left, order = set(range(1, count + 1)), [0]
     while left:
-        here = ways[order[-1]]
+        here = distances[order[-1]]
         order.append(min(left, key=lambda place: float(here[place])))
         left.remove(order[-1])
     improved = True
     while improved:
-        improved = _reverse_once(order, ways) or _move_once(order, ways)
+        improved = _reverse_once(order, distances) or _move_once(order, distances)
     return np.array(order[1:], np.int64) - 1
 
 
@@ -212,15 +212,15 @@ def tour_length(order: NDArray[np.int64], first: FloatArray, between: FloatArray
     return float(first[order[0]] + between[order[:-1], order[1:]].sum())
 
 
-def _reverse_once(order: list[int], ways: FloatArray) -> bool:
+def _reverse_once(order: list[int], distances: FloatArray) -> bool:
     """Reverse the part that shortens the tour most, if any does."""
     best, where = -1e-9, (0, 0)
     path = np.array(order)
     for i in range(1, len(path) - 1):
         ends = path[i + 1 :]
-        before = ways[path[i - 1], path[i]]
-        change = ways[path[i - 1], ends] - before
-        change[:-1] += ways[path[i], ends[1:]] - ways[ends[:-1], ends[1:]]
+        before = distances[path[i - 1], path[i]]
+        change = distances[path[i - 1], ends] - before
+        change[:-1] += distances[path[i], ends[1:]] - distances[ends[:-1], ends[1:]]
         j = int(change.argmin())
         if change[j] < best:
             best, where = float(change[j]), (i, i + 1 + j)
@@ -230,17 +230,17 @@ def _reverse_once(order: list[int], ways: FloatArray) -> bool:
     return bool(j)
 
 
-def _move_once(order: list[int], ways: FloatArray) -> bool:
+def _move_once(order: list[int], distances: FloatArray) -> bool:
     """Move one place to where it costs least, if that shortens the tour."""
     path = np.array(order)
     for i in range(1, len(path)):
         place = path[i]
         rest = np.delete(path, i)
-        saved = ways[path[i - 1], place]
+        saved = distances[path[i - 1], place]
         if i + 1 < len(path):
-            saved += ways[place, path[i + 1]] - ways[path[i - 1], path[i + 1]]
-        cost = ways[rest, place].copy()
-        cost[:-1] += ways[place, rest[1:]] - ways[rest[:-1], rest[1:]]
+            saved += distances[place, path[i + 1]] - distances[path[i - 1], path[i + 1]]
+        cost = distances[rest, place].copy()
+        cost[:-1] += distances[place, rest[1:]] - distances[rest[:-1], rest[1:]]
         at = int(cost.argmin())
         if cost[at] < saved - 1e-9 and at != i - 1:
             order[:] = [*rest[: at + 1], place, *rest[at + 1 :]]

@@ -138,8 +138,8 @@ def places_of(options: Options, poses: FloatArray) -> NDArray[np.int64]:
     return np.array([known.get(pose.tobytes(), -1) for pose in rows], np.int64)
 
 
-def told_by(options: Options, ratings: Ratings, places: NDArray[np.int64]) -> FloatArray:
-    """What proposed views are expected to tell, shape (N,) [full views].
+def shares_of(options: Options, ratings: Ratings, places: NDArray[np.int64]) -> FloatArray:
+    """What proposed views are expected to inform, shape (N,) [full views].
 
     0 for views that a test ruled out, and for views that were taken before: one look makes all in
     sight certain, so that what is still expected of them never comes.
@@ -149,13 +149,13 @@ def told_by(options: Options, ratings: Ratings, places: NDArray[np.int64]) -> Fl
         ratings: of these.
         places: of the proposed views, shape (N,), see `places_of`.
     """
-    told = np.where(places >= 0, ratings.shares[places], 0.0)
+    shares = np.where(places >= 0, ratings.shares[places], 0.0)
     poses, near = options.poses[places], 0.5 * options.surroundings.voxel_size
     for past in options.situation.past_views:
         same = np.linalg.norm(poses[:, :3, 3] - past[:3, 3], axis=1) < near
         same &= poses[:, :3, 2] @ past[:3, 2] > np.cos(_SAME_TURN)
-        told[same] = 0.0
-    return np.asarray(told)
+        shares[same] = 0.0
+    return np.asarray(shares)
 
 
 def scores_of(
@@ -173,14 +173,14 @@ def scores_of(
 
 
 _TURNS = 12
-_NOTHING = 0.002  # a view that tells less shows nothing of a frontier [full views]
+_NOTHING = 0.002  # a view that informs less shows nothing of a frontier [full views]
 
 
 class NearestFrontier:
-    """Goes to the frontier with the shortest way to its center, and looks where most is unknown.
+    """Goes to the frontier with the shortest path to its center, and looks where most is unknown.
 
     The paper's robot looks all around when it has arrived. A sensor with a narrower field of view
-    looks at what tells most, and again as long as a frontier is left there.
+    looks at what informs most, and again as long as a frontier is left there.
     """
 
     requires_positive_utility = False
@@ -198,12 +198,12 @@ class NearestFrontier:
         return self._proposed
 
     def score(self, options: Options, ratings: Ratings) -> Scores:
-        """Minus the way to the frontier [m]; of directions at one place, by information.
+        """Minus the distance to the frontier [m]; of directions at one place, by information.
 
-        Views that tell nothing, or were taken in vain, come last.
+        Views that inform nothing, or were taken in vain, come last.
         """
         places = places_of(options, self._proposed)
-        told = told_by(options, ratings, places)
-        lengths = np.where(told > _NOTHING, options.path_lengths[places], np.inf)
-        values = -np.where(np.isfinite(lengths), lengths, 1e6) + 1e-3 * told
+        shares = shares_of(options, ratings, places)
+        lengths = np.where(shares > _NOTHING, options.path_lengths[places], np.inf)
+        values = -np.where(np.isfinite(lengths), lengths, 1e6) + 1e-3 * shares
         return Scores(scores_of(options, places, values, ratings.ratings))

@@ -1,9 +1,11 @@
-"""The receding-horizon next-best-view planner.
+"""Two planners that grow a random tree through known free space.
 
-A. Bircher, M. Kamel, K. Alexis, H. Oleynikova, R. Siegwart, "Receding Horizon 'Next-Best-View'
-Planner for 3D Exploration", ICRA 2016, doi:10.1109/ICRA.2016.7487281.
+`ViewTree`: A. Bircher, M. Kamel, K. Alexis, H. Oleynikova, R. Siegwart, "Receding Horizon
+'Next-Best-View' Planner for 3D Exploration", ICRA 2016, doi:10.1109/ICRA.2016.7487281.
 
-A random tree through known free space.
+`AutonomousExploration`, with cached gains where the tree finds nothing: M. Selin, M. Tiger,
+D. Duberg, F. Heintz, P. Jensfelt, "Efficient Autonomous Exploration Planning of Large-Scale 3-D
+Environments", RA-L 4(2), 2019, doi:10.1109/LRA.2019.2897343.
 """
 
 from __future__ import annotations
@@ -15,8 +17,14 @@ from numpy.typing import NDArray
 
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import FREE
-from infomap_ros.studies.baselines.frontiers import level_views, places_of, scores_of, told_by
-from infomap_ros.studies.common.flight import is_open_line
+from infomap_ros.studies.baselines.frontiers import (
+    level_views,
+    places_of,
+    scores_of,
+    shares_of,
+    turned_views,
+)
+from infomap_ros.studies.flight import is_open_line
 from infomap_ros.views.ranking.options import Options
 from infomap_ros.views.ranking.rating import Ratings
 from infomap_ros.views.ranking.strategy import Scores
@@ -31,7 +39,7 @@ class Tree:
     Attributes:
         places: shape (n, 3) [m, map]; the first is the root, where the camera is.
         parents: shape (n,), -1 for the root. A parent comes before its children.
-        lengths: of the way from the root, shape (n,) [m].
+        lengths: of the path from the root, shape (n,) [m].
     """
 
     places: FloatArray
@@ -99,7 +107,7 @@ def grow_tree(
 
 _NODES, _MORE_NODES = 100, 400
 _EDGE = 0.5  # [ranges]
-_DECAY = 2.5  # of the gain over one range of way: 0.5 per meter and 5 m of range in the paper
+_DECAY = 2.5  # of the gain over one range: 0.5 per meter and 5 m of range in the paper
 _NOTHING = 0.01  # a best branch of less gives rise to a larger tree [full views]
 
 
@@ -107,7 +115,7 @@ class ViewTree:
     """Takes the first view of the best branch of a random tree of views.
 
     The gain of a node is that of its parent plus the information of its view times exp(-lambda c),
-    c the way from the root; eq. (1) of the paper. The rest of the best branch begins the next tree.
+    c the length from the root; eq. (1) of the paper. The rest of the best branch begins the next.
     """
 
     requires_positive_utility = False
@@ -141,17 +149,84 @@ class ViewTree:
 
     def _plan(self, options: Options, ratings: Ratings, places: NDArray[np.int64]) -> None:
         tree, found = self._tree, places >= 0
-        told = told_by(options, ratings, places)
-        told *= np.exp(-_DECAY * tree.lengths / options.situation.max_range)
-        gains = np.zeros(len(told))
-        for node in range(len(told)):
+        shares = shares_of(options, ratings, places)
+        shares *= np.exp(-_DECAY * tree.lengths / options.situation.max_range)
+        gains = np.zeros(len(shares))
+        for node in range(len(shares)):
             parent = tree.parents[node]
-            gains[node] = told[node] + (gains[parent] if parent >= 0 else 0.0)
+            gains[node] = shares[node] + (gains[parent] if parent >= 0 else 0.0)
         best = int(gains.argmax())
         branch = tree.branch(best)
         self._nodes = _NODES if gains[best] > _NOTHING else _MORE_NODES
-        self._values = np.full(len(told), -1e7)
+        self._values = np.full(len(shares), -1e7)
         if gains[best] > 0.0 and found[branch[0]]:
-            self._values = np.zeros(len(told))
+            self._values = np.zeros(len(shares))
             self._values[branch[0]] = 1.0
         self._kept, self._kept_azimuths = tree.places[branch[1:]], self._azimuths[branch[1:]]
+
+
+_LOCAL_NODES = 40
+_RADIUS = 2.0  # of the local tree [ranges]
+_TURNS = 8
+_CACHED = 80
+_TOO_LITTLE = 0.05  # a view that informs less is no goal [full views]
+
+
+class AutonomousExploration:
+    """The best view of a local tree; where none informs enough, the nearest cached one that does.
+
+    The score of a node is the information of its best direction times exp(-lambda c), c the length.
+    Nodes that informed enough are remembered, and asked again, as frontiers to come back to.
+    """
+
+    requires_positive_utility = False
+
+    def __init__(self) -> None:
+        self._tree = Tree(np.empty((0, 3)), np.empty(0, np.int64), np.empty(0))
+        self._cache = np.empty((0, 3))
+        self._proposed = np.empty((0, 4, 4))
+        self._kept = np.empty((0, 3))
+        self._values = np.empty(0)
+
+    def propose(
+        self, situation: Situation, surroundings: Surroundings, rng: np.random.Generator
+    ) -> FloatArray:
+        """Views all around from the nodes of the tree and from the cached places."""
+        reach = situation.max_range
+        self._tree = grow_tree(
+            situation, surroundings, rng, _LOCAL_NODES, _EDGE * reach, _RADIUS * reach, self._kept
+        )
+        self._proposed = turned_views(np.concatenate([self._tree.places, self._cache]), _TURNS)
+        return self._proposed
+
+    def score(self, options: Options, ratings: Ratings) -> Scores:
+        """1 for the next view, 0 for all others that were proposed."""
+        places = places_of(options, self._proposed)
+        if not options.fine:
+            self._plan(options, ratings, places)
+        return Scores(scores_of(options, places, self._values, ratings.ratings))
+
+    def _plan(self, options: Options, ratings: Ratings, places: NDArray[np.int64]) -> None:
+        shares = shares_of(options, ratings, places)
+        turns = shares.reshape(-1, _TURNS)
+        best_turn, gains = turns.argmax(axis=1), turns.max(axis=1)
+        local, reach = len(self._tree.places), options.situation.max_range
+        scores = gains[:local] * np.exp(-_DECAY * self._tree.lengths / reach)
+        best = int(scores.argmax())
+        self._kept = np.empty((0, 3))
+        if scores[best] > _TOO_LITTLE:
+            branch = self._tree.branch(best) if best else [0]
+            goal, self._kept = branch[0], self._tree.places[branch[1:]]
+        else:
+            lengths = np.where(places >= 0, options.path_lengths[places], np.inf)
+            distances = lengths.reshape(-1, _TURNS)[np.arange(len(gains)), best_turn]
+            goal = int(np.where(gains > _TOO_LITTLE, distances, np.inf).argmin())
+        self._values = np.zeros(len(shares)) if gains[goal] > 0.0 else np.full(len(shares), -1e7)
+        self._values[goal * _TURNS + best_turn[goal]] += 1.0
+        self._remember(gains)
+
+    def _remember(self, gains: FloatArray) -> None:
+        places = np.concatenate([self._tree.places, self._cache])
+        useful = np.flatnonzero(gains > _TOO_LITTLE)
+        useful = useful[np.argsort(-gains[useful], kind="stable")[:_CACHED]]
+        self._cache = np.unique(places[useful], axis=0)

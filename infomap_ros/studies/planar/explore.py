@@ -17,8 +17,7 @@ import numpy as np
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap
-from infomap_ros.studies.common.flight import FreeFlight
-from infomap_ros.studies.planar.settings import planar_choice
+from infomap_ros.studies.flight import FreeFlight
 from infomap_ros.studies.planar.world import PlanarWorld, SensorConfig, level_pose, take_scan
 from infomap_ros.team.replica import MapReplica
 from infomap_ros.team.update import MapUpdate
@@ -27,8 +26,64 @@ from infomap_ros.views.decision import UnproductiveLooks
 from infomap_ros.views.information.view_information import ExpectedInformation, Metric
 from infomap_ros.views.information.view_query import InformationConfig
 from infomap_ros.views.next_best_view import NextBestView, NextBestViewConfig
+from infomap_ros.views.ranking.look_ahead import LookAheadConfig
+from infomap_ros.views.ranking.rating import RatingConfig
 from infomap_ros.views.ranking.strategy import Strategy
+from infomap_ros.views.sampling.candidates import CandidateConfig
+from infomap_ros.views.sampling.orientations import OrientationConfig
+from infomap_ros.views.sampling.surroundings import SurroundingsConfig
+from infomap_ros.views.selection import SelectionConfig
 from infomap_ros.views.situation import RegionOfTask, Situation, Teammate
+
+_RATING_ALONE, _DISCOUNTED = 0.4, 0.1  # what a distance of one range costs [full views]
+_REFINED = 80  # views whose information is evaluated exactly
+
+
+def planar_choice(
+    max_range: float, cell: float, candidates: int = 400, strategy: str = ""
+) -> NextBestViewConfig:
+    """The choice for a sensor of this range [m] in a world with cells of this edge [m].
+
+    The sensor has no body, no noise and knows its pose, so that neither room, margins nor the
+    localization error count. All of the world is searched at once.
+
+    Args:
+        max_range: see above.
+        cell: see above.
+        candidates: number of candidate views.
+        strategy: by which is chosen. One that ranks by the rating alone needs a higher cost of
+            the distance than those that discount what comes late.
+    """
+    cost_of_range = _RATING_ALONE if strategy == "largest_information" else _DISCOUNTED
+    return NextBestViewConfig(
+        surroundings=SurroundingsConfig(
+            surface_margin=0, camera_radius=0.0, start_radius=cell, horizon=1000.0, cell=cell
+        ),
+        candidates=CandidateConfig(
+            candidates=candidates,
+            local_radius=max_range,
+            periphery_share=0.4,
+            teammate_clearance=0.2 * max_range,
+        ),
+        orientations=OrientationConfig(
+            directed=3, spread=1, lowest_elevation=0.0, highest_elevation=0.0
+        ),
+        rating=RatingConfig(
+            distance_weight=cost_of_range / max_range,
+            localization_weight=0.0,
+            teammate_sigma=0.1 * max_range,
+        ),
+        selection=SelectionConfig(min_rating=-1e6, refined=_REFINED),
+        look_ahead=LookAheadConfig(
+            depth=8,
+            views=_REFINED,
+            beam=8,
+            discount_distance=max_range,
+            cost_of_view=max_range / 30.0,
+            unlike_distance=0.15 * max_range,
+        ),
+    )
+
 
 INFORMATION = InformationConfig(ray_spacing=0.03, min_range=0.0, range_noise=0.0, pixel_angle=1e-4)
 """How it is judged what views tell: at most half a voxel of 1 m between rays at 15 m, no noise."""
@@ -85,7 +140,7 @@ class Exploration:
         distance: moved until then [m].
         seconds: that the choice of the view took, time of the processor [s], so that what else runs
             does not count; 0 for the first.
-        corners: of the way flown, shape (N, 2) [m].
+        corners: of the path flown, shape (N, 2) [m].
         views: place [m] and azimuth [rad] of each scan, shape (K, 3).
         ended: why it ended: see `ExplorationConfig.end`, or what the choice says.
     """
@@ -174,7 +229,7 @@ class PlanarExplorer:
         What the last view is still expected to tell is in vain: see `views.unproductive_looks`.
 
         Returns:
-            Corners of the way, shape (N, 3) [m]; None where there is no view, and why.
+            Corners of the path, shape (N, 3) [m]; None where there is no view, and why.
         """
         if self._unproductive is not None:
             left = self._information.gains(situation, self.pose[None])[0]
@@ -192,7 +247,7 @@ class PlanarExplorer:
             return None, decision.reason
         self.pose = decision.chosen.pose
         self.distance += decision.reach.travel
-        corners = flight.way_to(self.pose[:3, 3])
+        corners = flight.path_to(self.pose[:3, 3])
         return corners, decision.reason
 
 
@@ -219,7 +274,7 @@ def explore(
     settings = config or ExplorationConfig()
     sensor = PlanarExplorer(world, settings, strategy, choice, metric=metric, look_limit=look_limit)
     rows: list[tuple[float, float, float]] = []
-    way, ended, seconds = [sensor.pose[None, :3, 3]], "", 0.0
+    flown, ended, seconds = [sensor.pose[None, :3, 3]], "", 0.0
     while not ended:
         sensor.look()
         rows.append((world.fraction_mapped(sensor.map), sensor.distance, seconds))
@@ -234,9 +289,9 @@ def explore(
         if corners is None:
             ended = reason
             break
-        way.append(corners[1:])
+        flown.append(corners[1:])
     fraction, distance, times = np.array(rows).T
-    corners_flown = np.concatenate(way)[:, :2]
+    corners_flown = np.concatenate(flown)[:, :2]
     return Exploration(fraction, distance, times, corners_flown, sensor.views(), ended)
 
 
@@ -311,7 +366,7 @@ def explore_together(
     """
     team = _team(world, strategy, config, choice, sensors)
     rows: list[tuple[float, float, float]] = []
-    way, ended = [team[0].explorer.pose[None, :3, 3]], "all scans are taken"
+    flown, ended = [team[0].explorer.pose[None, :3, 3]], "all scans are taken"
     for scan in range(config.scans):
         sensor, seconds = team[scan % sensors], 0.0
         if scan >= sensors:
@@ -322,7 +377,7 @@ def explore_together(
                 ended = reason
                 break
             if sensor is team[0]:
-                way.append(corners[1:])
+                flown.append(corners[1:])
         sensor.look(team)
         moved = sum(mate.explorer.distance for mate in team)
         rows.append((world.fraction_mapped(sensor.team_map), moved, seconds))
@@ -332,7 +387,7 @@ def explore_together(
             ended = "enough is mapped"
             break
     fraction, distance, times = np.array(rows).T
-    corners_flown, views = np.concatenate(way)[:, :2], team[0].explorer.views()
+    corners_flown, views = np.concatenate(flown)[:, :2], team[0].explorer.views()
     return Exploration(fraction, distance, times, corners_flown, views, ended)
 
 

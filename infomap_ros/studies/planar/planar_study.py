@@ -13,19 +13,21 @@ import numpy as np
 
 from infomap_ros.geometry.config import parameter
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.studies.common.figure_style import Band, band
-from infomap_ros.studies.common.runs import in_all_worlds
+from infomap_ros.studies.figure_style import Band, band
 from infomap_ros.studies.planar.explore import ExplorationConfig
-from infomap_ros.studies.planar.study_config import (
+from infomap_ros.studies.planar.tasks import (
     DrawnWorldsConfig,
     OneSensorConfig,
+    Record,
     Saving,
+    Task,
+    WorldName,
     area_under_coverage,
     distance_to,
     saving,
 )
-from infomap_ros.studies.planar.tasks import Record, Task, WorldName
 from infomap_ros.studies.planar.world import BoolArray, SensorConfig
+from infomap_ros.studies.runs import in_all_worlds
 
 PAPER = ("random", "raster", "largest_unknown", "smallest_known", "largest_information")
 """The five strategies of the paper."""
@@ -35,7 +37,7 @@ BASELINES = (
     f"{_HERE}.frontiers.NearestFrontier",
     f"{_HERE}.frontier_tour.FrontierTour",
     f"{_HERE}.view_tree.ViewTree",
-    f"{_HERE}.autonomous.AutonomousExploration",
+    f"{_HERE}.view_tree.AutonomousExploration",
 )
 """What the package's strategies are compared with, by dotted path."""
 
@@ -206,7 +208,7 @@ class Comparison:
         own: label.
         other: label.
         area: difference of the areas under the coverage curve.
-        saved: share of the way to `share` that is saved; see `measures.saving`.
+        saved: share of the distance to `share` that is saved; see `measures.saving`.
         at_least: worlds of `saved` where the other did not get so far: a lower bound is counted.
         at_most: worlds of `saved` where the own did not get so far: an upper bound is counted.
         unknown: worlds without a bound, which do not count in `saved`.
@@ -235,7 +237,7 @@ def compare(rows: Sequence[Row], own: str, other: str, kind: str = "all") -> Com
 def savings_of(rows: Sequence[Row], own: str, other: str, kind: str = "all") -> list[Saving]:
     """What one strategy saves against another on the way to `share`, world by world."""
     pairs = _pairs(rows, own, other, kind)
-    return [saving(_ways(mine), _ways(theirs)) for mine, theirs in pairs]
+    return [saving(_distances(mine), _distances(theirs)) for mine, theirs in pairs]
 
 
 def _pairs(rows: Sequence[Row], own: str, other: str, kind: str) -> list[tuple[Row, Row]]:
@@ -246,15 +248,15 @@ def _pairs(rows: Sequence[Row], own: str, other: str, kind: str) -> list[tuple[R
     return [(w[own], w[other]) for w in by_world.values() if own in w and other in w]
 
 
-def _ways(row: Row) -> tuple[float, float]:
+def _distances(row: Row) -> tuple[float, float]:
     return row.distance_to_share, row.distance
 
 
-def least_ways(rows: Sequence[Row], strategy: str) -> tuple[FloatArray, BoolArray]:
-    """Way to `share` in each world, at least, (n,) [m], and whether it was reached, (n,)."""
-    ways = values_of(rows, strategy, "distance_to_share")
-    arrived = np.isfinite(ways)
-    return np.where(arrived, ways, values_of(rows, strategy, "distance")), arrived
+def least_distances(rows: Sequence[Row], strategy: str) -> tuple[FloatArray, BoolArray]:
+    """Distance to `share` in each world, at least, (n,) [m], and whether it was reached, (n,)."""
+    distances = values_of(rows, strategy, "distance_to_share")
+    arrived = np.isfinite(distances)
+    return np.where(arrived, distances, values_of(rows, strategy, "distance")), arrived
 
 
 def complete(records: Sequence[Record]) -> list[Record]:

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap
-from infomap_ros.studies.common.figure_style import (
+from infomap_ros.studies.figure_style import (
     CONFIDENCE,
     Band,
     band,
@@ -21,7 +21,6 @@ from infomap_ros.studies.common.figure_style import (
     save,
     style_of,
 )
-from infomap_ros.studies.common.runs import markdown, write_lines
 from infomap_ros.studies.planar.planar_study import (
     BASELINES,
     OWN,
@@ -30,13 +29,12 @@ from infomap_ros.studies.planar.planar_study import (
     Row,
     compare,
     kinds_in,
-    least_ways,
+    least_distances,
     row_of,
     savings_of,
     values_of,
 )
-from infomap_ros.studies.planar.study_config import fraction_at
-from infomap_ros.studies.planar.tasks import Record, label_of
+from infomap_ros.studies.planar.tasks import Record, fraction_at, label_of
 from infomap_ros.studies.planar.world import (
     BoolArray,
     PlanarWorld,
@@ -44,6 +42,7 @@ from infomap_ros.studies.planar.world import (
     level_pose,
     take_scan,
 )
+from infomap_ros.studies.runs import markdown, write_lines
 
 _POINTS = 201
 _LEAST_FOR_BANDS = 3  # worlds; the band over two is as wide as the figure
@@ -144,10 +143,10 @@ def _label(axes: Any, kind: str, axis: Axis, value: str, worlds: int) -> None:
     axes.grid(alpha=0.3)
 
 
-def draw_ways(
+def draw_paths(
     world: PlanarWorld, records: Sequence[Record], sensor: SensorConfig, scans: int, path: Path
 ) -> None:
-    """Draw what each strategy has mapped of a world, and the way it flew: Figs. 10, 13 and 14.
+    """Draw what each strategy has mapped of a world, and the path it flew: Figs. 10, 13 and 14.
 
     Args:
         world: that was explored.
@@ -198,7 +197,7 @@ def _map_from(world: PlanarWorld, sensor: SensorConfig, views: FloatArray) -> Vo
 
 
 def _flown(corners: FloatArray, end: FloatArray) -> FloatArray:
-    """The part of the way that ends at a place."""
+    """The part of the path that ends at a place."""
     last = np.flatnonzero(np.all(np.isclose(corners, end), axis=1))
     return corners[: int(last[-1]) + 1] if len(last) else corners
 
@@ -243,14 +242,14 @@ def overview(rows: Sequence[Row], config: PlanarStudyConfig) -> str:
 
 
 def _overview_line(rows: Sequence[Row], name: str) -> list[str]:
-    ways, arrived = least_ways(rows, name)
+    distances, arrived = least_distances(rows, name)
     mean, most = values_of(rows, name, "seconds"), values_of(rows, name, "max_seconds")
     return [
         name,
-        str(len(ways)),
+        str(len(distances)),
         _percent(band(values_of(rows, name, "fraction"))),
         _percent(band(values_of(rows, name, "area"))),
-        ("" if arrived.all() else "at least ") + band(ways).text(),
+        ("" if arrived.all() else "at least ") + band(distances).text(),
         str(np.count_nonzero(~arrived)),
         f"{values_of(rows, name, 'scans').mean():.0f}",
         f"{1000 * mean.mean():.0f}, {1000 * most.max():.0f}",
@@ -300,9 +299,9 @@ def summary(rows: Sequence[Row], seconds: float) -> dict[str, float | str]:
         for value in ("fraction", "area", "seconds"):
             mean = float(values_of(rows, name, value).mean())
             figures[f"{name}.{value}"] = round(mean, 4)
-        ways, arrived = least_ways(rows, name)
+        distances, arrived = least_distances(rows, name)
         key = "distance_to_share" if arrived.all() else "distance_to_share_at_least"
-        figures[f"{name}.{key}"] = round(float(ways.mean()), 1)
+        figures[f"{name}.{key}"] = round(float(distances.mean()), 1)
     for own in (name for name in OWN if name in names):
         for other in (name for name in names if name != own):
             found = compare(rows, own, other)
@@ -332,11 +331,11 @@ def draw_figures(records: Sequence[Record], config: PlanarStudyConfig, out: Path
     chosen = [record for record in first if _is_shown(record.task.strategy)]
     if chosen:
         world = chosen[0].task.world.make()
-        draw_ways(world, chosen, config.sensor, config.scans, out / "planar_ways")
+        draw_paths(world, chosen, config.sensor, config.scans, out / "planar_paths")
 
 
 def _is_shown(strategy: str) -> bool:
-    """Whether its way is drawn: some of the study's own strategies, and all that a user brings."""
+    """Whether its path is drawn: some of the study's own strategies, and all that a user brings."""
     shown = ("random", "largest_information", "look_ahead", "FrontierTour")
     return label_of(strategy) in shown or strategy not in PlanarStudyConfig().strategies
 
@@ -387,7 +386,7 @@ def draw_savings(
         rows: of all strategies and worlds.
         own: strategy that is compared with
         others: these.
-        share: of the world, to which ways are compared.
+        share: of the world, to which distances are compared.
         path: without suffix.
     """
     figure = Figure(figsize=(1.9 * len(others) + 2.2, 3.8), layout="constrained")

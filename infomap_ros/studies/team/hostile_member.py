@@ -3,9 +3,9 @@
 The liar has the key and is on the list, as far as the team has them. It sees nothing; in turn it
 
 - fills the memory with voxels that it has not seen;
-- tells digests of blocks that do not exist, and summaries of robots that do not exist, in which
-  the others have told versions far ahead;
-- hands on states of the others, and back to them, that they have not told;
+- sends digests of blocks that do not exist, and summaries of robots that do not exist, in which
+  the others have sent versions far ahead;
+- hands on states of the others, and back to them, that they have not sent;
 - asks for everything, and repeats what the others have said and asked.
 
 It begins when the others have recovered from their start: until then a robot believes what others
@@ -24,8 +24,7 @@ from numpy.typing import NDArray
 from infomap_ros.errors import InfomapError, UpdateRefusedError
 from infomap_ros.mapping import SHARED_LOG_ODDS_LIMIT
 from infomap_ros.mapping.voxels.changes import changed_blocks
-from infomap_ros.simulation.multi_robot.radio import Channel, Radio
-from infomap_ros.studies.team.team_network import Rows, TeamNetwork
+from infomap_ros.studies.team.team_network import Channel, Radio, Rows, TeamNetwork
 from infomap_ros.team.config import TeamConfig
 from infomap_ros.team.digest import SUMMARY_ROW, CellDigest, Request, Summary
 from infomap_ros.team.update import MapUpdate, message_bytes
@@ -41,83 +40,83 @@ _ROWS = 1000  # of a lie
 _AHEAD = (0, 5000, 2**24, 2**30, 2**31 - 2000)  # versions, by which others are said to have gone on
 _REPEATED = 50  # messages of others that it remembers
 _LONGEST_END = 60.0  # [s] after the last view, until the honest robots should have all
-Told = list[tuple[str, Rows]]
+Messages = list[tuple[str, Rows]]
 
 
 class Liar:
     """Makes the messages of a hostile member.
 
     Args:
-        sessions: of the others, which it has heard.
+        sessions: of the others, which it has received.
         voxel_size: [m].
-        bandwidth: bytes that it tells on average [bytes/s].
+        bandwidth: bytes that it sends on average [bytes/s].
         seed: of what it makes up.
 
     Attributes:
-        told: messages by kind of lie.
+        counts: messages by kind of lie.
     """
 
     def __init__(self, sessions: list[int], voxel_size: float, bandwidth: float, seed: int) -> None:
         self._sessions, self._size, self._bandwidth = sessions, voxel_size, bandwidth
         self._rng = np.random.default_rng(seed)
         self._number, self._version, self._turn, self._sent = 0, _FIRST_VERSION, 0, 0.0
-        self._heard: deque[tuple[str, Rows]] = deque(maxlen=_REPEATED)
-        self.told: Counter[str] = Counter()
+        self._received: deque[tuple[str, Rows]] = deque(maxlen=_REPEATED)
+        self.counts: Counter[str] = Counter()
 
-    def hear(self, kind: str, rows: Rows) -> None:
+    def receive(self, kind: str, rows: Rows) -> None:
         """Remember what another one has said, to repeat it."""
-        self._heard.append((kind, rows))
+        self._received.append((kind, rows))
 
-    def tell(self, now: float) -> Told:
-        """What it tells until a time [s]: one lie after another, as long as it may."""
-        lies: tuple[Callable[[], Told], ...] = (
+    def speak(self, now: float) -> Messages:
+        """What it sends until a time [s]: one lie after another, as long as it may."""
+        lies: tuple[Callable[[], Messages], ...] = (
             self._fill, self._digest, self._summary, self._hand_on, self._ask, self._repeat,
         )  # fmt: skip
-        told: Told = []
+        sent: Messages = []
         while self._sent < self._bandwidth * (now - _RECOVERY):
             lie = lies[self._turn % len(lies)]
             self._turn += 1
             made = lie()
-            told += made
+            sent += made
             self._sent += max(1000, sum(message_bytes(rows) for _, rows in made))
-            self.told[lie.__name__.strip("_")] += len(made)
-        return told
+            self.counts[lie.__name__.strip("_")] += len(made)
+        return sent
 
-    def _fill(self) -> Told:
+    def _fill(self) -> Messages:
         """One voxel of each of many blocks far from where the others are."""
         low = np.array([4096, 0, 0]) + 256 * self._rng.integers(0, 100, 3)
         return self._update(LIAR, low + 8 * self._rng.integers(0, 32, (_ROWS, 3)), 0)
 
-    def _digest(self) -> Told:
+    def _digest(self) -> Messages:
         corners = np.unique(self._rng.integers(-1000, 1000, (_ROWS, 3)), axis=0).astype(np.int32)
         robot, serial = int(self._rng.integers(LIAR + 1)), int(self._rng.integers(2**31))
         about = LIAR, _SESSION, robot, self._version, serial, 0
         digest = CellDigest(*about, corners, np.ones(len(corners), np.uint32))
         return [("digest", rows) for rows in digest.encode(_MESSAGE, self._next())]
 
-    def _summary(self) -> Told:
+    def _summary(self) -> Messages:
         rows = np.zeros(_ROWS, SUMMARY_ROW)
         rows["robot"], rows["hash"] = np.arange(_ROWS), 3
         rows["newest"] = _FIRST_VERSION + self._rng.choice(_AHEAD, _ROWS)
         return [("digest", Summary(LIAR, _SESSION, rows).encode(self._next()))]
 
-    def _hand_on(self) -> Told:
-        """States of another one, where it maps, that it has never told."""
+    def _hand_on(self) -> Messages:
+        """States of another one, where it maps, that it has never sent."""
         box = self._rng.integers(-100, 100, (_ROWS, 3))
         return self._update(self._other(), box, int(self._rng.choice(_AHEAD)), LIAR)
 
-    def _ask(self) -> Told:
+    def _ask(self) -> Messages:
         other, wants = self._other(), ("cells", "states")[self._turn // 6 % 2]
         who = LIAR, _SESSION, other, self._sessions[other], self._other()
         request = Request(*who, wants, 0, 0, np.empty((0, 3), np.int32))
         return [("request", rows) for rows in request.encode(_MESSAGE, self._next())]
 
-    def _repeat(self) -> Told:
-        return list(self._heard)
+    def _repeat(self) -> Messages:
+        return list(self._received)
 
     def _update(
         self, robot: int, indices: NDArray[np.int64], ahead: int, sender: int | None = None
-    ) -> Told:
+    ) -> Messages:
         self._version += 1
         count = len(indices)
         update = MapUpdate(
@@ -147,7 +146,7 @@ class HostileNetwork(TeamNetwork):
         team: how the others share.
         voxel_size: [m].
         memory_limit: of each replica [GB].
-        lies: bytes that the last one tells on average [bytes/s]; 0: it is silent.
+        lies: bytes that the last one sends on average [bytes/s]; 0: it is silent.
         seed: of all that is random; with the same one, the others see the same.
 
     Attributes:
@@ -176,7 +175,7 @@ class HostileNetwork(TeamNetwork):
 
     @property
     def is_settled(self) -> bool:
-        """Whether all that the honest robots saw is told, and known to all of them."""
+        """Whether all that the honest robots saw is sent, and known to all of them."""
         waiting = [len(changed_blocks(robot.own._storage)[0]) for robot in self.honest]
         return not any(waiting) and len(set(self.hashes())) == 1
 
@@ -185,17 +184,17 @@ class HostileNetwork(TeamNetwork):
         parts = [robot.member.replica.contribution(LIAR) for robot in self.honest]
         return max((part.blocks for part in parts if part is not None), default=0)
 
-    def speak(self, number: int, digests: bool) -> Told:
+    def speak(self, number: int, digests: bool) -> Messages:
         """The liar lies; the others say what they have to."""
-        return self.liar.tell(self.now) if number == LIAR else super().speak(number, digests)
+        return self.liar.speak(self.now) if number == LIAR else super().speak(number, digests)
 
-    def hear(self, receiver: int, kind: str, rows: Rows) -> None:
+    def receive(self, receiver: int, kind: str, rows: Rows) -> None:
         """As the nodes do: what is refused is counted."""
         if receiver == LIAR:
-            self.liar.hear(kind, rows)
+            self.liar.receive(kind, rows)
             return
         try:
-            super().hear(receiver, kind, rows)
+            super().receive(receiver, kind, rows)
         except InfomapError as error:
             reason = error.reason if isinstance(error, UpdateRefusedError) else type(error).__name__
             self.refused[reason] += 1
@@ -211,7 +210,7 @@ class HostileOutcome:
         liars_blocks: blocks of the liar that are kept, at the most.
         seconds: processor time for sharing, all honest robots [s].
         refused: messages that they refused, by reason.
-        told: messages of the liar, by kind.
+        sent: messages of the liar, by kind.
         end: time until the honest replicas were the same after the last view [s].
     """
 
@@ -220,7 +219,7 @@ class HostileOutcome:
     liars_blocks: int
     seconds: float
     refused: Counter[str]
-    told: Counter[str]
+    sent: Counter[str]
     end: float
 
 
@@ -238,7 +237,7 @@ def run_with_liar(
 
     Args:
         seconds: how long they map, simulated [s].
-        lies: what the fourth tells [MB/s]; 0: it is silent.
+        lies: what the fourth sends [MB/s]; 0: it is silent.
         period: time between two views of a robot [s].
         voxel_size: [m].
         bandwidth: of each honest robot [MB/s].
@@ -264,6 +263,6 @@ def run_with_liar(
         network.liars_blocks(),
         sum(robot.seconds for robot in network.honest),
         network.refused,
-        network.liar.told,
+        network.liar.counts,
         network.now - seconds,
     )

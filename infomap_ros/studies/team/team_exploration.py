@@ -24,9 +24,9 @@ from infomap_ros.geometry.resources import find_share
 from infomap_ros.simulation.body.robot import read_description
 from infomap_ros.simulation.exploring.exploration_run import map_frame, planned_robot, task_in
 from infomap_ros.simulation.exploring.truth import PoseAudit, TrueSurface
-from infomap_ros.simulation.multi_robot.radio import Channel, Radio
-from infomap_ros.simulation.multi_robot.team_world import TeamWorld
-from infomap_ros.simulation.multi_robot.turns import SwitchedOff
+from infomap_ros.simulation.team_world import TeamWorld
+from infomap_ros.simulation.turns import SwitchedOff
+from infomap_ros.studies.team.team_network import Channel, Radio
 from infomap_ros.studies.team.team_robot import RobotEquipment, TeamExplorationOptions, TeamRobot
 
 _TICK = 0.1  # [s] of robots that have nothing to do
@@ -99,7 +99,7 @@ class TeamExploration:
         self.kills, self._is_over = 0, False
 
     def _own_options(self) -> list[TeamExplorationOptions]:
-        """What each robot is told: no more space about it is declared clear than is."""
+        """What each robot is given: no more space about it is declared clear than is."""
         planner = self.options.planner
         clear = [min(planner.start_clearance, start.clearance) for start in self.world.starts]
         own = [dataclasses.replace(planner, start_clearance=radius) for radius in clear]
@@ -171,7 +171,7 @@ class TeamExploration:
             self._wait(number, robot)
 
     def _wait(self, number: int, robot: TeamRobot) -> None:
-        """Hear and answer until others have found more, or nobody explores any more."""
+        """Receive and answer until others have found more, or nobody explores any more."""
         known = robot.known_voxels
         while not self._is_over:
             self._is_over = len(self._endings) == len(self.robots)
@@ -203,9 +203,9 @@ class TeamExploration:
         task, number = self.options.team, robot.equipment.number
         coverage = self._surface.coverage(robot.member.replica.voxel_map)
         views = sum(mission.views for mission in self._missions.values())
-        way = sum(mission.distance for mission in self._missions.values())
+        distance = sum(mission.distance for mission in self._missions.values())
         now = self.world.simulators[number].time
-        self.looks.append(Look(number, now, views, way, coverage))
+        self.looks.append(Look(number, now, views, distance, coverage))
         if coverage >= task.coverage:
             self._is_over = True
             for each in self.robots:
@@ -215,16 +215,16 @@ class TeamExploration:
             self.world.turns.switch_off(self.world.names[-1])
 
     def _exchange(self, number: int) -> None:
-        """After each step of a robot: it speaks, and what has come is heard."""
+        """After each step of a robot: it speaks, and what has come is received."""
         robot, now = self.robots[number], self.world.simulators[number].time
         if robot is not None:
             for kind, content, size in robot.speak():
                 self._channel.send(number, kind, content, size, now)
         for receiver, kind, content in self._channel.deliver(now):
-            hearer = self.robots[receiver]
-            if hearer is not None:
+            listener = self.robots[receiver]
+            if listener is not None:
                 with suppress(UpdateRefusedError):  # asks for what it was before a restart
-                    hearer.hear(kind, content)
+                    listener.receive(kind, content)
 
     def _agree(self) -> float | None:
         """Time until all maps are the same [s]; None where they do not become it."""

@@ -8,8 +8,11 @@ How far behind each other the maps of a team are.
 
 from __future__ import annotations
 
+import heapq
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass, field
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,11 +21,87 @@ from scipy.spatial.transform import Rotation
 from infomap_ros.geometry import Box, PinholeCamera, PlacedSolid, make_transform
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import LOG_ODDS_QUANTUM, SHARED_LOG_ODDS_LIMIT, VoxelMap, VoxelMapConfig
-from infomap_ros.simulation.multi_robot.radio import Channel, Radio
 from infomap_ros.studies.noisy_scans import AnalyticScene
 from infomap_ros.team.config import TeamConfig
 from infomap_ros.team.member import TeamMember
 from infomap_ros.team.update import message_bytes
+
+PACKET_BYTES, PACKET_OVERHEAD = 1400, 60
+
+
+@dataclass(frozen=True)
+class Radio:
+    """The link of each robot to all others.
+
+    Attributes:
+        rate: at which a robot can send [bit/s].
+        loss: share of the packets that a receiver does not get, independent of each other; a
+            message with a lost packet is lost.
+        delay: [s].
+    """
+
+    rate: float = 10e6
+    loss: float = 0.2
+    delay: float = 0.02
+
+
+class Delivery(NamedTuple):
+    """A message that has come.
+
+    Attributes:
+        receiver: number of the robot.
+        kind: of the message, as its sender said.
+        content: of the message.
+    """
+
+    receiver: int
+    kind: str
+    content: Any
+
+
+class Channel:
+    """Carries messages of any content between robots.
+
+    Args:
+        robots: how many; they have numbers from 0 on.
+        radio: how the messages travel.
+        rng: source of the losses.
+    """
+
+    def __init__(self, robots: int, radio: Radio, rng: np.random.Generator) -> None:
+        self.radio, self._rng = radio, rng
+        self._free_at, self._count = [0.0] * robots, 0
+        self._on_air: list[tuple[float, int, Delivery]] = []
+
+    def send(self, sender: int, kind: str, content: Any, size: int, now: float) -> None:
+        """Send a message to all others; it begins when what was sent before is on air.
+
+        Args:
+            sender: number of the robot.
+            kind: handed on.
+            content: handed on.
+            size: [bytes].
+            now: [s].
+        """
+        radio, packets = self.radio, -(-size // PACKET_BYTES)
+        duration = (size + packets * PACKET_OVERHEAD) * 8.0 / radio.rate
+        self._free_at[sender] = max(self._free_at[sender], now) + duration
+        for receiver in range(len(self._free_at)):
+            arrives = self._rng.random() < (1.0 - radio.loss) ** packets
+            if receiver != sender and arrives:
+                self._count += 1
+                due = self._free_at[sender] + radio.delay
+                heapq.heappush(self._on_air, (due, self._count, Delivery(receiver, kind, content)))
+
+    def deliver(self, now: float) -> Iterator[Delivery]:
+        """Messages that have come by now [s], in their order."""
+        while self._on_air and self._on_air[0][0] <= now:
+            yield heapq.heappop(self._on_air)[2]
+
+    def backlog(self, now: float) -> float:
+        """How long what was sent still takes to be transmitted, at the most [s]."""
+        return max(0.0, max(self._free_at) - now)
+
 
 CAMERA = PinholeCamera(width=160, height=120, fx=130.0, fy=130.0, cx=79.5, cy=59.5)
 _HALL = (24.0, 16.0, 3.0)  # [m]
@@ -31,24 +110,24 @@ Rows = NDArray[np.void]
 
 
 def make_hall(rng: np.random.Generator, boxes: int = 60) -> AnalyticScene:
-    """A hall of 24 x 16 x 3 m with boxes of 0.3 to 1.5 m, none on the robots' way."""
+    """A hall of 24 x 16 x 3 m with boxes of 0.3 to 1.5 m, none on the robots' path."""
     x, y, z = _HALL
     planes = [[0, 0, 1, 0], [0, 0, -1, -z]]
     planes += [[s, 0, 0, -x / 2] for s in (1, -1)] + [[0, s, 0, -y / 2] for s in (1, -1)]
-    way = np.array([_place(angle) for angle in np.linspace(0.0, 2.0 * np.pi, 200)])
+    path = np.array([_place(angle) for angle in np.linspace(0.0, 2.0 * np.pi, 200)])
     solids: list[PlacedSolid] = []
     while len(solids) < boxes:
         size = rng.uniform(0.3, 1.5, 3)
         place = np.array([*rng.uniform([-x / 2, -y / 2], [x / 2, y / 2]), size[2] / 2])
         turn = Rotation.from_euler("z", rng.uniform(0, np.pi)).as_matrix()
-        if np.linalg.norm(way[:, :2] - place[:2], axis=1).min() > 1.6:
+        if np.linalg.norm(path[:, :2] - place[:2], axis=1).min() > 1.6:
             box = Box((float(size[0]), float(size[1]), float(size[2])))
             solids.append(PlacedSolid(box, make_transform(turn, place), f"box {len(solids)}"))
     return AnalyticScene(np.array(planes, np.float64), solids)
 
 
 def _place(angle: float) -> FloatArray:
-    """Where a camera is on its way through the hall, an ellipse 1.2 m above the floor [m]."""
+    """Where a camera is on its path through the hall, an ellipse 1.2 m above the floor [m]."""
     return np.array([8.0 * np.cos(angle), 4.5 * np.sin(angle), 1.2])
 
 
@@ -56,7 +135,7 @@ def view_pose(start: float, now: float) -> FloatArray:
     """T_map_camera (optical) of a robot that drives at about 0.3 m/s and looks left and right.
 
     Args:
-        start: where on its way it began [rad].
+        start: where on its path it began [rad].
         now: time since then [s].
     """
     angle = start + 0.3 * now / 6.5
@@ -79,14 +158,14 @@ class NetworkRobot:
         own: what it saw.
         sent: bytes that it sent, by kind of message, without those of the radio's packets.
         seconds: processor time for sharing, integrating not included [s].
-        told: number of changed voxels that it had to tell.
+        changed: number of changed voxels that it had to send.
     """
 
     member: TeamMember
     own: VoxelMap
     sent: dict[str, int] = field(default_factory=dict)
     seconds: float = 0.0
-    told: int = 0
+    changed: int = 0
 
 
 class TeamNetwork:
@@ -160,16 +239,16 @@ class TeamNetwork:
         """What a robot says now, with or without digests, and of which kind it is."""
         robot = self.robots[number]
         member = robot.member
-        messages = [("update", rows) for rows in member.tell(robot.own, self.now)]
+        messages = [("update", rows) for rows in member.updates(robot.own, self.now)]
         if digests:
             messages += [("digest", rows) for rows in member.digests(self.now)]
         return messages + [("request", rows) for rows in member.requests(self.now)]
 
-    def hear(self, receiver: int, kind: str, rows: Rows) -> None:
+    def receive(self, receiver: int, kind: str, rows: Rows) -> None:
         """A message has come to a robot."""
         member = self.robots[receiver].member
-        hear = {"digest": member.hear_digest, "request": member.hear_request}
-        hear.get(kind, member.hear_update)(rows, self.now)
+        handlers = {"digest": member.receive_digest, "request": member.receive_request}
+        handlers.get(kind, member.receive_update)(rows, self.now)
 
     def run(self, seconds: float) -> None:
         """Let time go by."""
@@ -189,7 +268,7 @@ class TeamNetwork:
     def _deliver(self) -> None:
         for receiver, kind, rows in self._channel.deliver(self.now):
             start = time.thread_time()
-            self.hear(receiver, kind, rows)
+            self.receive(receiver, kind, rows)
             self.robots[receiver].seconds += time.thread_time() - start
 
 
@@ -201,7 +280,7 @@ _HALF = 1 << 15  # voxel indices stay below this
 
 @dataclass(eq=False)
 class _View:
-    """Voxels to which a view gave other evidence, and who has not heard of all of them."""
+    """Voxels to which a view gave other evidence, and who has not received all of them."""
 
     robot: int
     taken: float
@@ -237,13 +316,13 @@ class LagMeter:
         self._network.look(robot)
         after = _evidence(robot)
         indices = _changed(before, after)
-        robot.told += len(indices)
+        robot.changed += len(indices)
         others = set(range(len(self._network.robots))) - {robot.member.robot}
         view = _View(robot.member.robot, self._network.now, version, indices, others)
         self._views.append(view)
 
     def check(self) -> None:
-        """Find out who has heard of which views; to be called after each step."""
+        """Find out who has received which views; to be called after each step."""
         for view in self._views:
             for number in list(view.missing):
                 part = self._network.robots[number].member.replica.contribution(view.robot)
@@ -254,7 +333,7 @@ class LagMeter:
 
 
 def _evidence(robot: NetworkRobot) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Known voxels as single numbers, ascending, and their evidence as it is told."""
+    """Known voxels as single numbers, ascending, and their evidence as it is sent."""
     indices, log_odds = robot.own.voxels()
     limit = SHARED_LOG_ODDS_LIMIT
     quanta = np.clip(np.rint(log_odds / LOG_ODDS_QUANTUM), -limit, limit).astype(np.int64)

@@ -23,13 +23,13 @@ from infomap_ros.exploration.task import TaskConfig
 from infomap_ros.exploration.team.keep_clear import PAUSE, Awareness, KeepsClear
 from infomap_ros.exploration.team.team_planner import TeamPlanner
 from infomap_ros.exploration.team.teammate_places import TeamBodies
-from infomap_ros.exploration.team.teamwork import Presence, Teamwork
+from infomap_ros.exploration.team.teamwork import ANNOUNCE_PERIOD, Presence, Teamwork
 from infomap_ros.exploration.view_planner import Surrounding, ViewPlanner
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap
 from infomap_ros.motion.robot.robot_model import RobotModel
-from infomap_ros.replay.mapping.map_files import MAP_FILE
+from infomap_ros.replay.map_files import MAP_FILE
 from infomap_ros.simulation.exploring.exploration_run import ExplorationOptions, localization_error
 from infomap_ros.simulation.exploring.simulated_robot import Observer, SimulatedRobot
 from infomap_ros.simulation.simulator import Simulator
@@ -78,7 +78,7 @@ class TeamExplorationOptions(ExplorationOptions):
 MISSION_FILE, LOG_FILE = "mission.json", "exploration.jsonl"
 LOCALIZATION_FILE = "localization.infomap"
 _BUSY = 1.0  # [s] until a robot that had nothing to do asks again
-_TELLING = 0.4  # [s] after a view in which it is told before the next one is chosen
+_ANNOUNCING = 0.4  # [s] after a view in which it is announced before the next one is chosen
 
 
 @dataclass(frozen=True)
@@ -129,7 +129,7 @@ class TeamRobot:
         version = version_at(simulator.stamp)
         config = self.map.config
         self.member = TeamMember(equipment.number, session, version, config, options.sharing)
-        self.sent, self._told = 0, -np.inf
+        self.sent, self._digests_sent = 0, -np.inf
         self._bodies = TeamBodies(body=options.robot.body)
         self._robot = SimulatedRobot(
             simulator, equipment.model, self.map, options.robot, equipment.observer, self._bodies
@@ -165,14 +165,14 @@ class TeamRobot:
         )
 
     def explore(self) -> Ending:
-        """Explore to the end; first tell and hear who is where, after a restart what is known."""
+        """Explore to the end; first exchange who is where, after a restart what is known."""
         try:
             self._robot.begin()
         except PoseUnavailableError as error:
             return self._exploration.end(Ending(EndReason.FAILED, str(error)))
         self._knows_its_place = True
         recovery = self.equipment.options.sharing.recovery if self.mission.views else 0.0
-        self.let_pass(recovery + _TELLING)
+        self.let_pass(recovery + _ANNOUNCING)
         return self._exploration.run()
 
     def stop(self) -> None:
@@ -203,14 +203,14 @@ class TeamRobot:
     # As the planner of the exploration
 
     def choose(self, state: RobotState) -> Choice:
-        """Keep and tell what was seen, then choose the next view in the map of all.
+        """Keep and send what was seen, then choose the next view in the map of all.
 
         Raises:
             TeammatesBusyError: the exploration is asked to stop while it waits for others.
         """
         self.map.save(self.equipment.folder / MAP_FILE)
         self._link.save(self.equipment.folder / LOCALIZATION_FILE)
-        self.let_pass(_TELLING)
+        self.let_pass(_ANNOUNCING)
         self.equipment.on_view(self)
         around = Surrounding.of(self.mission)
         while True:
@@ -222,9 +222,9 @@ class TeamRobot:
                     raise
                 self.let_pass(_BUSY)
 
-    def way_to(self, state: RobotState, place: KnownPlace) -> Choice:
-        """The way to where the robot has stood."""
-        return self._planner.way_to(self.member.replica.voxel_map, state, place)
+    def route_to(self, state: RobotState, place: KnownPlace) -> Choice:
+        """The route to where the robot has stood."""
+        return self._planner.route_to(self.member.replica.voxel_map, state, place)
 
     def plan_arm(self, state: RobotState, T_map_camera: FloatArray) -> Choice:
         """A motion of the arm alone to a view, from where the base has come to stand."""
@@ -243,11 +243,11 @@ class TeamRobot:
     def speak(self) -> list[tuple[str, Any, int]]:
         """Messages to send now: kind, content, size [bytes]."""
         now = self._simulator.time
-        if self._knows_its_place and now - self._announced >= self._teamwork.config.period - 1e-6:
+        if self._knows_its_place and now - self._announced >= ANNOUNCE_PERIOD - 1e-6:
             self._announce()
-        spoken = [("update", rows) for rows in self.member.tell(self.map, now)]
-        if now - self._told >= self.equipment.options.sharing.digest_period - 1e-6:
-            self._told = now
+        spoken = [("update", rows) for rows in self.member.updates(self.map, now)]
+        if now - self._digests_sent >= self.equipment.options.sharing.digest_period - 1e-6:
+            self._digests_sent = now
             spoken += [("digest", rows) for rows in self.member.digests(now)]
             spoken += [("request", rows) for rows in self.member.requests(now)]
         messages = self._spoken + [(kind, rows, message_bytes(rows)) for kind, rows in spoken]
@@ -255,32 +255,32 @@ class TeamRobot:
         self.sent += sum(size for _, _, size in messages)
         return messages
 
-    def hear(self, kind: str, content: Any) -> None:
+    def receive(self, kind: str, content: Any) -> None:
         """A message of another robot has come.
 
         Raises:
             InfomapError: it cannot be used.
         """
         member = self.member
-        hear: dict[str, Callable[[Any, float], object]] = {
-            "update": member.hear_update,
-            "digest": member.hear_digest,
-            "request": member.hear_request,
-            "agent": self._hear_of,
+        handlers: dict[str, Callable[[Any, float], object]] = {
+            "update": member.receive_update,
+            "digest": member.receive_digest,
+            "request": member.receive_request,
+            "agent": self._receive_agent,
         }
-        hear[kind](content, self._simulator.time)
+        handlers[kind](content, self._simulator.time)
 
-    def _hear_of(self, text: str, now: float) -> None:
-        """A teammate has told where it is and where it is heading."""
-        agent = self._teamwork.hear(text, now)
+    def _receive_agent(self, text: str, now: float) -> None:
+        """A teammate has reported where it is and where it is heading."""
+        agent = self._teamwork.receive(text, now)
         if agent is not None:
             if not self._bodies.is_described(agent.robot):
                 self._bodies.describe(agent.robot, self.equipment.model)
-            self._bodies.hear(agent)
+            self._bodies.receive(agent)
             self._link.forget_teammates()
 
     def _announce(self) -> None:
-        """Tell with the next messages where this robot is and where it is heading."""
+        """Report with the next messages where this robot is and where it is heading."""
         self._announced = self._simulator.time
         presence = Presence(
             self._simulator.stamp,
@@ -289,11 +289,11 @@ class TeamRobot:
             self._link.rig.left,
             self.equipment.options.planner.max_range,
         )
-        text = self._teamwork.tell(presence).text
+        text = self._teamwork.announcement(presence).text
         self._spoken.append(("agent", text, len(text)))
 
     def let_pass(self, seconds: float) -> None:
-        """Let others speak, and hear them [s]."""
+        """Let others speak, and receive from them [s]."""
         self._link.let_pass(seconds)
 
     def _own_map(self) -> VoxelMap:

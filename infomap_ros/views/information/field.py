@@ -322,10 +322,10 @@ def with_predictions(
     levels = np.rint(np.log(p / (1.0 - p)) / LOG_ODDS_QUANTUM).clip(-limit, limit).astype(np.int16)
     levels[window.quanta != UNKNOWN_QUANTA] = 0
     blank = field.directory == -1 - UNKNOWN
-    told = np.logical_or.reduceat(levels != 0, np.arange(0, levels.shape[0], BLOCK_SIDE), axis=0)
+    used = np.logical_or.reduceat(levels != 0, np.arange(0, levels.shape[0], BLOCK_SIDE), axis=0)
     for axis in (1, 2):
-        told = np.logical_or.reduceat(told, np.arange(0, levels.shape[axis], BLOCK_SIDE), axis=axis)
-    field = with_rows(field, np.argwhere(blank & told))
+        used = np.logical_or.reduceat(used, np.arange(0, levels.shape[axis], BLOCK_SIDE), axis=axis)
+    field = with_rows(field, np.argwhere(blank & used))
     _enter(field.directory, window.quanta, levels, book.predicted + limit, field.codes)
     return field
 

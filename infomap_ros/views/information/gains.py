@@ -175,7 +175,7 @@ class GainTable:
     Attributes:
         gains: bits per steradian (in a plane per radian), shape (steps, codes), float32.
         before: sum over the steps before, shape (steps + 1, codes), float32.
-        clear: probability that a step's way does not hide what is behind it, shape (codes,).
+        clear: probability that a step does not hide what is behind it, shape (codes,).
         step: length of a step [voxels].
     """
 

@@ -41,7 +41,7 @@ class RayArrays(NamedTuple):
         codes: of it.
         gains: bits per steradian by step and code, shape (steps, codes).
         before: sum of `gains` over the steps before, shape (steps + 1, codes).
-        clear: probability by code that a step's way does not hide what is behind it.
+        clear: probability by code that a step does not hide what is behind it.
         step: length of a step [voxels].
         least: below this probability nothing is seen any more.
     """

@@ -61,13 +61,13 @@ class InformationConfig:
     certain_probability: float = parameter(
         0.05,
         "A known voxel less likely occupied than this counts as empty, and one less likely empty "
-        "than this as solid: neither has anything more to tell.",
+        "than this as solid: neither has any information left.",
         low=1e-4,
         high=0.45,
     )
     known_weight: float = parameter(
         0.25,
-        "Weight of the bits of known voxels. What one scan told of the voxels along a ray is right "
+        "Weight of the bits of known voxels. What one scan says of the voxels along a ray is right "
         "or wrong together, so that less is left to learn of them than the sum of their entropies. "
         "1 counts the sum, as `VoxelMap.entropy_bits` does.",
         low=0.0,
@@ -92,8 +92,8 @@ class InformationConfig:
     predict_unknown: bool = parameter(
         False,
         "Whether unknown voxels near known ones have the average probability of their neighbors "
-        "instead of 0.5. They then tell less than 1 bit, and hide what is behind them where they "
-        "are more likely occupied than not.",
+        "instead of 0.5. They are then worth less than 1 bit, and hide what is behind them where "
+        "they are more likely occupied than not.",
     )
 
     wanted_sigma: float = parameter(

@@ -37,14 +37,11 @@ class LookAheadConfig:
     )
     discount_distance: float = setting(
         10.0,
-        "Information that comes after a way of this distance (eq. 10) counts 1/e of what comes at "
-        "once.",
+        "Information that comes after this distance (eq. 10) counts 1/e of what comes at once.",
         low=0.01,
         high=1e6,
     )
-    cost_of_view: float = setting(
-        2.0, "A view costs as much as a way of this distance.", low=0.0, high=1e6
-    )
+    cost_of_view: float = setting(2.0, "A view costs as much as this distance.", low=0.0, high=1e6)
     unlike_distance: float = setting(
         0.7, "Views are alike that are nearer to each other than this, and", unit="m", low=0.0
     )
@@ -83,8 +80,8 @@ class LookAhead:
 
         In the first ranking: of the view alone; views that are like a better one come last.
         """
-        way = ratings.ways + self._cost_of_view(ratings)
-        near = np.exp(-way / self.config.discount_distance)
+        distance = ratings.distances + self._cost_of_view(ratings)
+        near = np.exp(-distance / self.config.discount_distance)
         alone = np.where(ratings.ratings > 0.0, ratings.ratings * near, ratings.ratings)
         apart = self._apart(options, alone)
         if not options.fine:
@@ -123,7 +120,7 @@ class LookAhead:
             ratings.config.information_weight * ratings.shares[chosen],
             1.0 - ratings.terms["risk"][chosen],
             ratings.ratings[chosen],
-            ratings.ways[chosen],
+            ratings.distances[chosen],
             _distances_between(options, ratings, chosen),
             float(ratings.cost.weight_of_distance),
             self._cost_of_view(ratings),
@@ -191,13 +188,13 @@ class Costs(NamedTuple):
     """What a sequence of views counts.
 
     Attributes:
-        utility: of each view's information where none of it is told yet, shape (K,) [full views].
+        utility: of each view's information before any of it is informed, shape (K,) [full views].
         safe: probability that its place is free, shape (K,).
         ratings: of each view as the first one, shape (K,) [full views].
         first: distance to each view from where the camera is, shape (K,).
         between: distance from each view to each, shape (K, K).
         weight: what a unit of distance costs [full views].
-        look: a view costs as much as a way of this distance.
+        look: a view costs as much as this distance.
         discount_distance: what comes after this distance counts 1/e.
     """
 
@@ -227,16 +224,17 @@ def best_sequences(
     """
     count = len(costs.first)
     followers[:] = -1
-    views, utilities, ways = np.empty((count, depth), np.int64), np.empty(count), np.empty(count)
+    views, distances = np.empty((count, depth), np.int64), np.empty(count)
+    utilities = np.empty(count)
     for view in range(count):
         views[view, 0] = view
-        ways[view] = costs.first[view] + costs.look
-        utilities[view] = _discounted(costs.ratings[view], ways[view], costs.discount_distance)
+        distances[view] = costs.first[view] + costs.look
+        utilities[view] = _discounted(costs.ratings[view], distances[view], costs.discount_distance)
         values[view] = utilities[view]
     for length in range(1, depth):
-        longer, farther = _longer(sharing, costs, views, length, utilities, ways)
+        longer, farther = _longer(sharing, costs, views, length, utilities, distances)
         kept = _kept(longer, views, length, beam)
-        views, utilities, ways = _continued(views, length, longer, farther, kept)
+        views, utilities, distances = _continued(views, length, longer, farther, kept)
         for row in range(len(kept)):
             start = views[row, 0]
             if utilities[row] > values[start]:
@@ -246,33 +244,33 @@ def best_sequences(
 
 
 @njit(cache=True, nogil=True)
-def _discounted(rating: float, way: float, discount_distance: float) -> float:
+def _discounted(rating: float, distance: float, discount_distance: float) -> float:
     """Of gains; what costs more than it brings is not made better by coming late."""
-    return rating * math.exp(-way / discount_distance) if rating > 0.0 else rating
+    return rating * math.exp(-distance / discount_distance) if rating > 0.0 else rating
 
 
 @njit(cache=True, nogil=True)
 def _longer(
-    sharing: Sharing, costs: Costs, views: Any, length: int, utilities: Any, ways: Any
+    sharing: Sharing, costs: Costs, views: Any, length: int, utilities: Any, distances: Any
 ) -> tuple[Any, Any]:
-    """Worth and way of every sequence continued with every view, (N, K) each.
+    """Worth and distance of every sequence continued with every view, (N, K) each.
 
     The utility is -inf for a view that the sequence holds.
     """
     count = len(costs.first)
     longer, farther = np.full((len(utilities), count), -np.inf), np.empty((len(utilities), count))
-    told = np.empty(sharing.size)
+    informed = np.empty(sharing.size)
     for row in range(len(utilities)):
-        told[:] = 0.0
+        informed[:] = 0.0
         for turn in range(length):
-            _tell(sharing, views[row, turn], told)
+            _inform(sharing, views[row, turn], informed)
         for view in range(count):
             if _holds(views[row], length, view):
                 continue
             step = costs.between[views[row, length - 1], view]
-            news = costs.utility[view] * _unshared(sharing, view, told)
-            rating = (news - costs.weight * step) * costs.safe[view]
-            farther[row, view] = ways[row] + step + costs.look
+            gained = costs.utility[view] * _unshared(sharing, view, informed)
+            rating = (gained - costs.weight * step) * costs.safe[view]
+            farther[row, view] = distances[row] + step + costs.look
             gain = _discounted(rating, farther[row, view], costs.discount_distance)
             longer[row, view] = utilities[row] + gain
     return longer, farther
@@ -287,22 +285,22 @@ def _holds(views: Any, length: int, view: int) -> bool:
 
 
 @njit(cache=True, nogil=True)
-def _tell(sharing: Sharing, view: int, told: Any) -> None:
-    """Note in `told`, shape (size,), what a view informs."""
+def _inform(sharing: Sharing, view: int, informed: Any) -> None:
+    """Note in `informed`, shape (size,), what a view informs."""
     for entry in range(sharing.starts[view], sharing.starts[view + 1]):
         place = sharing.places[entry]
-        told[place] = max(told[place], sharing.gains[entry])
+        informed[place] = max(informed[place], sharing.gains[entry])
 
 
 @njit(cache=True, nogil=True)
-def _unshared(sharing: Sharing, view: int, told: Any) -> float:
-    """Share of what a view informs that is not `told`, shape (size,), yet."""
-    news, total = 0.0, 0.0
+def _unshared(sharing: Sharing, view: int, informed: Any) -> float:
+    """Share of what a view informs that is not `informed`, shape (size,), yet."""
+    gained, total = 0.0, 0.0
     for entry in range(sharing.starts[view], sharing.starts[view + 1]):
         gain = sharing.gains[entry]
-        news += max(gain - told[sharing.places[entry]], 0.0)
+        gained += max(gain - informed[sharing.places[entry]], 0.0)
         total += gain
-    return news / max(total, 1e-12)
+    return gained / max(total, 1e-12)
 
 
 @njit(cache=True, nogil=True)
@@ -339,7 +337,7 @@ def _same_views(one: Any, other: Any, length: int) -> bool:
 def _continued(
     views: Any, length: int, longer: Any, farther: Any, kept: Any
 ) -> tuple[Any, Any, Any]:
-    """The kept sequences with their utilities and ways."""
+    """The kept sequences with their utilities and distances."""
     count = longer.shape[1]
     continued = np.empty((len(kept), views.shape[1]), np.int64)
     for row in range(len(kept)):

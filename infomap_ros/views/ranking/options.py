@@ -89,7 +89,7 @@ class Options:
 
     @cached_property
     def path_lengths(self) -> FloatArray:
-        """Way of the camera through free space, shape (M,) [m]; inf where none is known."""
+        """Path of the camera through free space, shape (M,) [m]; inf where none is known."""
         return self.surroundings.path_lengths(self.positions)
 
     @cached_property

@@ -75,16 +75,10 @@ class RatingConfig:
         high=1e6,
     )
     repetition_weight: float = setting(
-        1.0, "Weight of what like views promised and did not tell, against w_NI.", low=0.0, high=1e6
-    )
-    repetition_elevation: float = setting(
-        0.15, "Tilt over which views become unlike.", unit="rad", low=0.001, high=10.0
-    )
-    trust_distance: float = setting(
-        4.0, "Distance over which what a view told says less.", unit="m", low=0.001, high=1e3
-    )
-    trust_credit: float = setting(
-        0.3, "So many views count as if they had told all.", low=0.001, high=1e6
+        1.0,
+        "Weight of what like views promised and did not bring, against w_NI.",
+        low=0.0,
+        high=1e6,
     )
     teammate_sigma: float = setting(
         0.5,
@@ -118,7 +112,7 @@ class Ratings:
     cost: Cost
 
     @property
-    def ways(self) -> FloatArray:
+    def distances(self) -> FloatArray:
         """What it costs to get to each view, as a distance, shape (M,)."""
         return self.terms[self.cost.term.name] * self.cost.distance_per_unit
 
@@ -128,7 +122,7 @@ class Cost:
     """What it costs to get to a view, d of eq. (10), in the unit that was asked for.
 
     Strategies discount what comes late by distance, and therefore count in distances: a second is
-    the way that the base drives in it.
+    the distance that the base drives in it.
 
     Attributes:
         term: tells it.
@@ -161,7 +155,7 @@ class Cost:
         Args:
             start: where the camera is.
             poses: views.
-            lengths: of the ways, shape (M,) [m].
+            lengths: of the paths, shape (M,) [m].
         """
         return self.term.between(start, poses, lengths) * self.distance_per_unit
 
@@ -171,7 +165,7 @@ class Cost:
         Args:
             planned: the motion.
             assumed: value of the term.
-            length: of the way of the camera, as the term took it [m].
+            length: of the path of the camera, as the term took it [m].
         """
         if isinstance(self.term, Distance):
             excess = planned.travel - length
@@ -207,13 +201,11 @@ class Rating:
         """
         self.config = config or RatingConfig()
         settings, weight = self.config, self.config.information_weight
-        trust = settings.trust_distance, settings.trust_credit
-        repetition = Repetition(settings.repetition_elevation, *trust)
         self._terms: list[tuple[RatingTerm, float]] = [
             (Information(), weight),
             (InterestTerm(), weight),
             (TeammatesTerm(), weight),
-            (repetition, weight * settings.repetition_weight),
+            (Repetition(), weight * settings.repetition_weight),
             *more_terms,
         ]
         self._localization_error = LocalizationErrorTerm(localization_error)
@@ -249,7 +241,7 @@ class Rating:
 #
 #     b(s) = 0.5 log2((r^2 + s^2) / r^2)
 #
-# bits less about where the surface is, and a way on which s grows from s0 to s1 costs b(s1) -
+# bits less about where the surface is, and a path on which s grows from s0 to s1 costs b(s1) -
 # b(s0) bits in each surface voxel that the view sees. A surface that fills the image, faces the
 # camera and is L away has n = Omega L^2 / v^2 voxels of size v, with the image's solid angle
 # Omega. For L stands half the camera's range. Over the bits F of a view into nothing but unknown
@@ -266,7 +258,7 @@ class Rating:
 # by 10 mm 0.014 and 0.010.
 #
 # Not counted: what the rotation error moves, and that an offset of the whole map (the target's
-# error) is in every scan and cannot be avoided by another way.
+# error) is in every scan and cannot be avoided by another path.
 
 _SURFACE = 0.5
 """Distance of the surface that fills the image, as a share of the camera's range."""

@@ -17,21 +17,21 @@ from infomap_ros.views.sampling.surroundings import Surroundings
 from infomap_ros.views.situation import MotionTimes, Situation
 
 LocalizationError = Callable[[Situation, FloatArray, FloatArray], FloatArray]
-"""Error accumulated on the way to views: situation, poses (M, 4, 4), lengths of the ways (M,) [m]
+"""Error accumulated on the path to views: situation, poses (M, 4, 4), lengths of the paths (M,) [m]
 -> growth of the position sigma (M,) [m]."""
 
 
 POSITION_PER_METER, POSITION_PER_RADIAN = 0.03, 0.005
 """Position sigma by odometry alone after one meter, and after turning by one radian [m]."""
 ROTATION_PER_METER, ROTATION_PER_RADIAN = 0.01, 0.02
-"""Rotation sigma likewise [rad]; the variances grow in proportion to the way."""
+"""Rotation sigma likewise [rad]; the variances grow in proportion to the length."""
 
 
 class OdometryDrift:
     """Localization error LE of eq. (11), until landmarks on the way can be predicted.
 
-    The pose covariance at the end of the way is the present one, turned into the position error
-    that a heading error causes over the way, plus what odometry adds.
+    The pose covariance at the end of the path is the present one, turned into the position error
+    that a heading error causes over the path, plus what odometry adds.
     """
 
     def __call__(self, situation: Situation, poses: FloatArray, lengths: FloatArray) -> FloatArray:
@@ -40,13 +40,13 @@ class OdometryDrift:
         Args:
             situation: pose and covariance now.
             poses: ``T_map_camera``, shape (M, 4, 4).
-            lengths: of the ways there, shape (M,) [m].
+            lengths: of the paths there, shape (M,) [m].
         """
         before = float(np.trace(situation.pose_covariance[:3, :3]))
         turns = rotation_angles(situation.T_map_camera, poses)
         position = POSITION_PER_METER**2 * lengths + POSITION_PER_RADIAN**2 * turns
         added = ROTATION_PER_METER**2 * lengths + ROTATION_PER_RADIAN**2 * turns
-        # A heading error moves the end of a way of length s by s; one that grows on the way in
+        # A heading error moves the end of a path of length s by s; one that grows on the path in
         # proportion to it, by s / sqrt(3).
         heading = situation.pose_covariance[5, 5]
         position = position + lengths**2 * (heading + added / 3.0)
@@ -64,7 +64,11 @@ def rotation_angles(T_map_camera: FloatArray, poses: FloatArray) -> FloatArray:
     return np.asarray(np.linalg.norm(rotation_vectors(T_map_camera, poses), axis=1))
 
 
-TRUST_AZIMUTH = 3.0  # [rad] over which the share that a view has told says less of others
+# Over which views become unlike: distance [m], azimuth and elevation [rad].
+_LIKE_DISTANCE, _LIKE_AZIMUTH, _LIKE_ELEVATION = 1.5, 0.6, 0.15
+# Over which the share that a view has told says less of others: [m], [rad].
+_TRUST_DISTANCE, TRUST_AZIMUTH = 4.0, 3.0
+_TRUST_CREDIT = 0.3  # so many views count as if they had told all
 
 
 class RatingTerm(Protocol):
@@ -130,19 +134,13 @@ class Repetition:
     differ in position and direction (a Gaussian). As other space in such a direction keeps its
     promises as badly, a view loses at least the share that views of its elevation have failed to
     tell, averaged over a wider surrounding.
-
-    Args:
-        elevation: over which views become unlike [rad].
-        trust_distance: over which the share that views of an elevation have told says less [m].
-        trust_credit: so many views count as if they had told all.
     """
 
     name, unit = "repetition", "bits"
 
-    def __init__(self, elevation: float, trust_distance: float, trust_credit: float) -> None:
-        self._near = np.array((1.5, 0.6, elevation))
-        self._wide = np.array((trust_distance, TRUST_AZIMUTH, elevation))
-        self._credit = trust_credit
+    def __init__(self) -> None:
+        self._near = np.array((_LIKE_DISTANCE, _LIKE_AZIMUTH, _LIKE_ELEVATION))
+        self._wide = np.array((_TRUST_DISTANCE, TRUST_AZIMUTH, _LIKE_ELEVATION))
 
     def __call__(self, options: Options) -> FloatArray:
         """Lost information of each view, shape (M,), at most 0."""
@@ -154,10 +152,10 @@ class Repetition:
     def _broken(self, options: Options) -> FloatArray:
         """Share of its information that each view is not trusted to tell, shape (M,)."""
         kept, views = options.situation.kept_shares, options.situation.past_views
-        told = np.flatnonzero(np.isfinite(kept))
-        alike = _likeness(options.poses, views[told], self._wide)
-        missed = ((1.0 - kept[told])[:, None] * alike).sum(axis=0)
-        return np.asarray(missed / (alike.sum(axis=0) + self._credit))
+        rated = np.flatnonzero(np.isfinite(kept))
+        alike = _likeness(options.poses, views[rated], self._wide)
+        missed = ((1.0 - kept[rated])[:, None] * alike).sum(axis=0)
+        return np.asarray(missed / (alike.sum(axis=0) + _TRUST_CREDIT))
 
 
 def _likeness(poses: FloatArray, past: FloatArray, widths: FloatArray) -> FloatArray:
@@ -184,7 +182,7 @@ class Distance:
     """d of eq. (10): weighted distance over the degrees of freedom of the camera.
 
     ``d = sqrt(sum (w_i (c_i - c'_i))^2)``, so alpha_i of the paper is ``w_i^2``. The position part
-    is stretched by how much longer the way through known free space is than the straight line.
+    is stretched by how much longer the path through known free space is than the straight line.
     """
 
     name, unit = "distance", "weighted m and rad"
@@ -199,7 +197,7 @@ class Distance:
 
     @property
     def mean_weight(self) -> float:
-        """Weight of a way over level ground [1/m]."""
+        """Weight of a path over level ground [1/m]."""
         return float(np.mean(self._position[:2]))
 
     def __call__(self, options: Options) -> FloatArray:
@@ -207,7 +205,7 @@ class Distance:
         return self.between(options.situation.T_map_camera, options.poses, options.path_lengths)
 
     def between(self, start: FloatArray, poses: FloatArray, lengths: FloatArray) -> FloatArray:
-        """Distance from one pose, (4, 4), to others, (M, 4, 4), over ways of `lengths` (M,) [m]."""
+        """Distance from one pose, (4, 4), to others, (M, 4, 4), paths of `lengths` (M,) [m]."""
         offsets = poses[:, :3, 3] - start[:3, 3]
         straight = np.maximum(np.linalg.norm(offsets, axis=1), 1e-9)
         detour = np.maximum(np.where(np.isfinite(lengths), lengths, straight) / straight, 1.0)
@@ -220,7 +218,7 @@ class Duration:
     """The cost of eq. (10) as the time of driving, turning, the arm's motion and the look [s].
 
     An estimate that needs no plan of motion: the arm alone brings the camera as far as it reaches;
-    farther off the arm is folded, the base drives the way of the camera through free space and
+    farther off the arm is folded, the base drives the path of the camera through free space and
     turns by as much as the camera does, and the arm unfolds. `Approach` puts the time of the
     planned motion in its place.
     """
@@ -236,13 +234,13 @@ class Duration:
         return self.between(options.situation.T_map_camera, options.poses, options.path_lengths)
 
     def between(self, start: FloatArray, poses: FloatArray, lengths: FloatArray) -> FloatArray:
-        """Time from one pose, (4, 4), to others, (M, 4, 4), over ways of `lengths` (M,) [m]."""
+        """Time from one pose, (4, 4), to others, (M, 4, 4), paths of `lengths` (M,) [m]."""
         times, turns = self._times, rotation_vectors(start, poses)
         straight = np.linalg.norm(poses[:, :3, 3] - start[:3, 3], axis=1)
-        ways = np.maximum(np.where(np.isfinite(lengths), lengths, straight), straight)
+        distances = np.maximum(np.where(np.isfinite(lengths), lengths, straight), straight)
         with_arm = np.linalg.norm(turns, axis=1) / times.arm_rate
         with_arm = np.maximum(with_arm, times.arm * straight / max(times.arm_reach, 1e-9))
-        driven = ways / times.speed + np.abs(turns[:, 2]) / times.turn_rate + 2.0 * times.arm
+        driven = distances / times.speed + np.abs(turns[:, 2]) / times.turn_rate + 2.0 * times.arm
         near = straight <= times.arm_reach
         return np.asarray(np.where(near, np.minimum(with_arm, driven), driven) + times.look)
 

@@ -33,7 +33,7 @@ class CoarseViews:
     Attributes:
         unknown: unknown volume in sight, shape (M,) [m^3].
         known: known volume in sight, shape (M,) [m^3].
-        wanted: share of what the view tells of the region that is wanted, by interests, shape (M,).
+        wanted: share of what the view informs of the region, by interests, shape (M,).
         left: share of what is wanted that teammates leave, shape (M,).
     """
 
@@ -84,9 +84,9 @@ def coarse_view_at(
         sums,
     )
     volume = angle * size**3
-    told, wanted = np.maximum(sums[:, 2], 1e-12), np.maximum(sums[:, 3], 1e-12)
+    gained, wanted = np.maximum(sums[:, 2], 1e-12), np.maximum(sums[:, 3], 1e-12)
     return CoarseViews(
-        sums[:, 0] * volume, sums[:, 1] * volume, sums[:, 3] / told, sums[:, 4] / wanted
+        sums[:, 0] * volume, sums[:, 1] * volume, sums[:, 3] / gained, sums[:, 4] / wanted
     )
 
 
@@ -316,7 +316,7 @@ def coarse_view(
         fade: unknown space of this depth in voxels hides what is behind it, by 1/e.
         power: see above.
         sums: shape (V, 5), zero: within the bounds, the unknown and the known volume in sight,
-            what they tell, what of that is wanted, and what of that teammates leave.
+            what they inform, what of that is wanted, and what of that teammates leave.
     """
     for view in range(len(origins)):
         for ray in range(directions.shape[1]):
@@ -365,9 +365,9 @@ def _march(
         if state == FREE:
             continue
         kind = kinds[a, b, c] if inside and kinds.size > 0 else np.uint8(0)
-        told = volume * visible
-        wanted = told * weights[kind, 0]
-        sums[2] += told
+        gained = volume * visible
+        wanted = gained * weights[kind, 0]
+        sums[2] += gained
         sums[3] += wanted
         sums[4] += wanted * weights[kind, 1]
         if state == OCCUPIED:

@@ -69,7 +69,7 @@ def free_balls(free: Any, reach: int, limit: float, near: Any, out: Any) -> None
 
 @njit(cache=True, nogil=True)
 def path_lengths(open_cells: Any, start: Any, lengths: Any, queue: Any, queued: Any) -> None:
-    """Length of the shortest way over the 26 neighbors from `start` to every cell, in cells.
+    """Length of the shortest path over the 26 neighbors from `start` to every cell, in cells.
 
     Args:
         open_cells: shape (nx, ny, nz), bool.

@@ -97,10 +97,10 @@ class Surroundings:
         return np.ravel_multi_index(tuple(places.T), self.reached.shape)
 
     def path_lengths(self, points: FloatArray) -> FloatArray:
-        """Way through free space from the camera to points, (N, 3) [m, map] -> (N,) [m].
+        """Path through free space from the camera to points, (N, 3) [m, map] -> (N,) [m].
 
         Over cells and their 26 neighbors: right within a cell and 8 %, never shorter than the
-        straight line; inf where no way is known.
+        straight line; inf where no path is known.
         """
         places, inside = self.in_box(points)
         lengths = np.full(len(points), np.inf)
@@ -130,7 +130,7 @@ class Surroundings:
 
 
 def cell_lengths(cells: BoolArray, start: IntArray) -> NDArray[np.float32]:
-    """Shortest ways over open cells, (cx, cy, cz) bool, from one of them, (3,), in cells."""
+    """Shortest paths over open cells, (cx, cy, cz) bool, from one of them, (3,), in cells."""
     lengths = np.full(cells.shape, np.inf, np.float32)
     queue, queued = np.empty(cells.size, np.int64), np.zeros(cells.shape, np.bool_)
     space_kernels.path_lengths(cells, start, lengths, queue, queued)
@@ -138,6 +138,8 @@ def cell_lengths(cells: BoolArray, start: IntArray) -> NDArray[np.float32]:
 
 
 _FARTHEST = 1000.0  # [m]
+# The search does not widen to where it would look at more voxels than this.
+_LARGEST_WINDOW = 100_000_000
 _BEYOND = 1.5  # unknown space around the known box that a glance tells apart [m]
 
 
@@ -177,15 +179,9 @@ class SurroundingsConfig:
         low=0.1,
         high=_FARTHEST,
     )
-    largest_window: int = setting(
-        100_000_000,
-        "The search does not widen to where it would look at more voxels than this.",
-        low=1000,
-        high=1_000_000_000,
-    )
     cell: float = setting(
         0.2,
-        "Edge of the cells in which ways and things to look at are counted.",
+        "Edge of the cells in which paths and things to look at are counted.",
         unit="m",
         low=0.001,
         high=100.0,
@@ -202,7 +198,7 @@ class SurroundingsConfig:
 
 
 def survey(situation: Situation, config: SurroundingsConfig | None = None) -> Surroundings:
-    """Copy the map around the camera into a window and find room, ways and things to look at."""
+    """Copy the map around the camera into a window and find room, paths and things to look at."""
     settings = config or SurroundingsConfig()
     size = situation.voxel_map.config.voxel_size
     reach = math.ceil(settings.camera_radius / size)
@@ -222,7 +218,7 @@ def survey(situation: Situation, config: SurroundingsConfig | None = None) -> Su
     reached = _reached(free[inside], has_room, camera - first, settings.start_radius / size)
     edge = max(1, round(settings.cell / size))
     targets, gaps = _things_to_see(window, states, situation, edge)
-    lengths = _ways(reached, camera - first, edge)
+    lengths = _path_lengths(reached, camera - first, edge)
     return Surroundings(
         window,
         states,
@@ -253,7 +249,7 @@ def horizons(
         wider = replace(settings, horizon=min(factor * settings.horizon, _FARTHEST))
         outer = _boxes(situation, wider, 0.0)[1]
         voxels = np.prod((outer[1] - outer[0]) / situation.voxel_map.config.voxel_size)
-        if voxels > settings.largest_window:
+        if voxels > _LARGEST_WINDOW:
             return
         yield wider
 
@@ -363,7 +359,7 @@ def _reached(free: BoolArray, has_room: BoolArray, start: IntArray, radius: floa
     return np.asarray((connected == here) & (here > 0))
 
 
-def _ways(reached: BoolArray, start: IntArray, edge: int) -> NDArray[np.float32]:
+def _path_lengths(reached: BoolArray, start: IntArray, edge: int) -> NDArray[np.float32]:
     cells = reached
     for axis in range(3):
         cells = np.logical_or.reduceat(cells, np.arange(0, cells.shape[axis], edge), axis=axis)

@@ -145,7 +145,7 @@ def line_chart(*curves: Curve) -> str:
         for one in curves
     ]
     if not any(rows):
-        return f'<p class="empty">{html.escape(curve.title)}: the log tells no value.</p>'
+        return f'<p class="empty">{html.escape(curve.title)}: no value in the log.</p>'
     largest = max(abs(y) for row in rows for _, y in row)
     factor, name = prefix(largest) if curve.scaled else (1.0, "")
     rows = [[(x, y / factor) for x, y in row] for row in rows]

@@ -22,7 +22,7 @@ from infomap_ros.exploration.records.run_log import Candidate, Motion, plain
 from infomap_ros.geometry.symmetric import smallest_axes
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.mapping import VoxelMap
-from infomap_ros.mapping.files.pictures import LEAST_EVIDENCE
+from infomap_ros.mapping.files.pictures import LEAST_EVIDENCE, MOST_EVIDENCE
 from infomap_ros.mapping.voxels.keys import pack_all
 from infomap_ros.views.ranking import terms
 
@@ -32,7 +32,7 @@ LARGEST_SURFACE = 250_000
 SIGMA_RANGE = (1e-4, 1.0)
 """Standard deviations that are told apart [m]; coded on a logarithmic scale."""
 
-LOG_ODDS_RANGE = (0.0, 8.0)
+LOG_ODDS_RANGE = (0.0, MOST_EVIDENCE)
 """Evidence that is told apart [nats]: probabilities from 0.5 to 0.9997."""
 
 
@@ -170,16 +170,16 @@ def scene_of(surface: DrawnSurface, cut: float | None, run: RecordedRun | None) 
 
 
 def _first_seen(surface: DrawnSurface, steps: Sequence[Step]) -> NDArray[np.uint16]:
-    """Number of the decision that first knew each drawn voxel; the last where none has told."""
-    told = [grown_voxels(step.decision.surface) for step in steps]
-    if not any(map(len, told)):
+    """Number of the decision that first knew each drawn voxel; the last where none is listed."""
+    grown = [grown_voxels(step.decision.surface) for step in steps]
+    if not any(map(len, grown)):
         return np.zeros(len(surface.cells), np.uint16)
     keys = pack_all(surface.cells + surface.first)
     order = np.argsort(keys)
     ordered = keys[order]
     seen = np.full(len(keys), len(steps) - 1, np.uint16)
     for number in reversed(range(len(steps))):
-        drawn = pack_all(told[number] // surface.merged)
+        drawn = pack_all(grown[number] // surface.merged)
         places = np.searchsorted(ordered, np.intersect1d(drawn, ordered))
         seen[order[places]] = number
     return seen

@@ -121,7 +121,7 @@ def outcome(run: RecordedRun) -> str:
     """Why the run ended, as the page's first sentence."""
     end = run.end
     if end is None:
-        kind, name, detail = "warn", "Not ended", "The log does not tell an end."
+        kind, name, detail = "warn", "Not ended", "The log has no end."
     else:
         kind, name = _ENDINGS.get(end.reason, ("warn", end.reason))
         detail = end.detail
@@ -233,8 +233,8 @@ def charts(
     """
     drawn = []
     for label, x_of in axes.items():
-        # Of what is told at one place, as of several lines of the log at one view, the last holds.
-        rows = {name: list({x_of(r): r for r in told}.values()) for name, told in runs.items()}
+        # Of the records at one place, as of several lines of the log at one view, the last holds.
+        rows = {name: list({x_of(r): r for r in run}.values()) for name, run in runs.items()}
         if not any(x_of(r) > 0.0 for row in rows.values() for r in row):
             drawn.append(f'<p class="wide">All stay at 0: no curves over {label}.</p>')
             continue
@@ -252,7 +252,7 @@ def curves(run: RecordedRun) -> str:
     """Coverage, entropy and sigma over views and over distance."""
     progress = run.of(Progress)
     if not progress:
-        return "<p>The log tells no progress.</p>"
+        return "<p>The log has no progress.</p>"
     axes = {label: of for label, of in AXES.items() if label != "time [s]"}
     drawn = charts({"": progress}, axes, goals={"known precisely": goal_of(run)})
     return f'<div class="charts">{drawn}</div>'
@@ -436,12 +436,12 @@ _LEVELS = {"warning": "warn", "error": "bad"}
 
 def parameters_table(parameters: Mapping[str, object], config: type | None = None) -> str:
     """Names and values, with unit and meaning where they are fields of a configuration."""
-    told = {} if config is None else parameters_of(config)
+    known = {} if config is None else parameters_of(config)
     if not parameters:
         return ""
     items = parameters.items()
     rows = [[html.escape(words(n)), html.escape(with_unit(n, v, config))] for n, v in items]
-    abouts = (told[name][1].description if name in told else "" for name in parameters)
+    abouts = (known[name][1].description if name in known else "" for name in parameters)
     marks = [f' title="{html.escape(about)}"' if about else "" for about in abouts]
     return table(["name", "#value"], rows, "parameters", marks)
 
@@ -459,10 +459,10 @@ def with_unit(name: str, value: object, config: type | None = None) -> str:
     """A value as text: of a field of a configuration with its unit, else of a figure of a run."""
     if isinstance(value, list) and config is None:
         return ", ".join(with_unit(name, each) for each in value) or DASH
-    told = {} if config is None else parameters_of(config)
+    known = {} if config is None else parameters_of(config)
     text = as_text(value)
-    if name in told:
-        return f"{text}\u2009{told[name][1].unit}".rstrip() if text else DASH
+    if name in known:
+        return f"{text}\u2009{known[name][1].unit}".rstrip() if text else DASH
     unit = next((unit for names, unit in _UNITS.items() if re.fullmatch(names, name)), "")
     if not unit or not isinstance(value, int | float):
         return text or DASH

@@ -1,1 +1,0 @@
-"""The search for the target whose frame is the map."""

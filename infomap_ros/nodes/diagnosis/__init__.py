@@ -1,1 +1,0 @@
-"""``infomap doctor``: what a live graph lacks."""

@@ -1,1 +1,0 @@
-"""``infomap localize``: a bag becomes a trajectory."""

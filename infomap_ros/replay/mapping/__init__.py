@@ -1,1 +1,0 @@
-"""``infomap map``: a bag becomes a map."""

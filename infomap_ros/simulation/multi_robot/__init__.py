@@ -1,1 +1,0 @@
-"""Several robots in one world and one time."""

@@ -1,1 +1,0 @@
-"""Every information metric in the same loop, the same worlds and the same strategy."""

@@ -61,9 +61,9 @@ def single_users() -> list[str]:
         (
             "lines that a robot installs",
             sum(LINES[name] for name in NAMES if room_of(name) not in NOT_ON_A_ROBOT),
-            85_670,  # 590 frames apart, 435 changes, 165 sensors, 155 distances, 290 octrees
+            86_060,  # 390 IMU, 590 frames apart, 435 changes, 165 sensors, 445 octrees, distances
         ),
-        ("modules", len(MODULES), 479),
+        ("modules", len(MODULES), 480),
         ("short modules with one user in their folder", len(single_users()), 2),
     ],
 )
@@ -73,16 +73,16 @@ def test_the_package_does_not_grow(what: str, measured: int, most: int) -> None:
 
 
 MOST_LINES = {
-    "stereo_range": 9_550,
-    "map_fusion": 30_530,
-    "bag_player": 9_060,
-    "simulator": 29_770,
-    "next_best_view": 46_760,
-    "explorer": 42_130,
-    "fiducial_localization": 38_220,
-    "dead_reckoning": 11_860,
-    "robot_driver": 13_530,
-    "web_viewer": 32_550,
+    "stereo_range": 9_610,
+    "map_fusion": 30_600,
+    "bag_player": 9_130,
+    "simulator": 29_840,
+    "next_best_view": 46_830,
+    "explorer": 42_190,
+    "fiducial_localization": 38_530,
+    "dead_reckoning": 11_930,
+    "robot_driver": 13_590,
+    "web_viewer": 32_610,
 }
 """Of what importing a node's module imports; to be lowered with each of them."""
 

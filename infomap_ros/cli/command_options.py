@@ -170,6 +170,7 @@ _TOPICS = {
     "color": "color images of the same pixels as the depth images",
     "pose_topic": "poses, odometry or tf",
     "odometry": "odometry",
+    "imu": "an inertial sensor on the camera",
     "joints": "joint states",
 }
 

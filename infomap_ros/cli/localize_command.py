@@ -156,7 +156,7 @@ def _times(stamps: NDArray[np.int64], start: int) -> NDArray[np.float64]:
 _DEFAULTS = LocalizeOptions()
 
 
-@takes_topics(*IMAGE_TOPICS, "color", "odometry", "joints")
+@takes_topics(*IMAGE_TOPICS, "color", "odometry", "imu", "joints")
 def localize(
     bag: Bag,
     out: Out,
@@ -227,7 +227,7 @@ def _run_live(run: LocalizeRun, page: LivePage, progress: Progress) -> None:
 
 def _sentences(run: LocalizeRun, summary: Mapping[str, int | float | str]) -> list[str]:
     """The run as a person is told it."""
-    motion = run.inputs.odometry_topic or "the images alone"
+    motion = run.inputs.odometry_topic or run.inputs.imu_topic or "the images alone"
     early = "interrupted: " if run.stopped else ""
     return [
         f"{early}{summary['poses']} of {summary['views']} views located in {run.seconds:.1f} s, "

@@ -105,6 +105,19 @@ class JointStateRecord(Record):
 
 
 @dataclass(frozen=True, eq=False)
+class ImuRecord(Record):
+    """A sample of an inertial sensor.
+
+    Attributes:
+        angular_velocity: shape (3,) [rad/s].
+        acceleration: what it feels, against gravity at rest, shape (3,) [m/s^2]; None if unknown.
+    """
+
+    angular_velocity: FloatArray
+    acceleration: FloatArray | None = None
+
+
+@dataclass(frozen=True, eq=False)
 class TransformRecord(Record):
     """One edge of the tf tree: ``T_frame_child``.
 

@@ -222,6 +222,7 @@ class Localizer(KnownMap):
         keep: bool = False,
         body: Sequence[PlacedSolid] = (),
         others: Sequence[PlacedSolid] = (),
+        turn: FloatArray | None = None,
     ) -> LocalizedCamera:
         """Tell where the camera was when a view was taken.
 
@@ -233,6 +234,8 @@ class Localizer(KnownMap):
             keep: keep the pose as a keyframe wherever it is.
             body: of the robot, placed in the camera frame: it carries no fiducials.
             others: what moves by itself, as teammates, placed in the map: likewise.
+            turn: of the camera since the view before by a gyroscope, ``R_before_now``, shape
+                (3, 3), which counts where nothing else is known of its motion.
 
         Raises:
             InvalidInputError: the view is not later than the one before.
@@ -243,6 +246,7 @@ class Localizer(KnownMap):
         if self._state == "searching":
             return self._initialize(view, chosen)
         self._wake(view, prior)
+        self._free_motion.turn = turn
         before = None if self._state == "lost" else self._filter.pose[0]
         seen = self._follow(view, prior)
         tracked, reason = self._solve(view, seen, prior)
@@ -284,7 +288,7 @@ class Localizer(KnownMap):
         pose = self._filter.pose[0]
         if prior is not None:
             return self._scene.follow(view, pose @ prior.T_before_after)
-        if self._state == "tracking":
+        if self._state == "tracking" or self._free_motion.turn is not None:
             pose = pose @ self._free_motion.expected(self._since(view)).T_before_after
         return self._scene.follow(view, pose)
 

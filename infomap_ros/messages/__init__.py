@@ -28,6 +28,7 @@ from infomap_ros.messages.encode import (
     encode_clock,
     encode_disparity,
     encode_image,
+    encode_imu,
     encode_joint_state,
     encode_occupancy_grid,
     encode_odometry,
@@ -52,6 +53,7 @@ from infomap_ros.messages.images import (
     decode_image,
 )
 from infomap_ros.messages.poses import (
+    IMU,
     JOINT_STATE,
     ODOMETRY,
     POSE,
@@ -59,6 +61,7 @@ from infomap_ros.messages.poses import (
     STRING,
     TF,
     TRANSFORM,
+    decode_imu,
     decode_joint_state,
     decode_odometry,
     decode_pose,
@@ -77,6 +80,7 @@ _DECODERS: dict[str, Callable[[object], Record]] = {
     POSE_WITH_COVARIANCE: decode_pose_with_covariance,
     ODOMETRY: decode_odometry,
     JOINT_STATE: decode_joint_state,
+    IMU: decode_imu,
 }
 _TF_TYPES = (TF, "tf/msg/tfMessage")
 
@@ -116,6 +120,7 @@ __all__ = [
     "COMPRESSED_IMAGE",
     "DECODABLE_TYPES",
     "IMAGE",
+    "IMU",
     "JOINT_STATE",
     "ODOMETRY",
     "POINT_CLOUD",
@@ -130,6 +135,7 @@ __all__ = [
     "decode_camera_info",
     "decode_compressed_image",
     "decode_image",
+    "decode_imu",
     "decode_joint_state",
     "decode_odometry",
     "decode_point_cloud",
@@ -144,6 +150,7 @@ __all__ = [
     "encode_cloud_fields",
     "encode_disparity",
     "encode_image",
+    "encode_imu",
     "encode_joint_state",
     "encode_occupancy_grid",
     "encode_odometry",

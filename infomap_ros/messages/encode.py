@@ -19,6 +19,7 @@ from infomap_ros.geometry.camera import StereoRig
 from infomap_ros.geometry.records import (
     CameraInfoRecord,
     ImageRecord,
+    ImuRecord,
     JointStateRecord,
     OdometryRecord,
     PointCloudRecord,
@@ -40,6 +41,8 @@ from infomap_ros.messages.fields import (
 )
 from infomap_ros.messages.images import CAMERA_INFO, IMAGE, pixel_layout
 from infomap_ros.messages.poses import (
+    ABSENT,
+    IMU,
     JOINT_STATE,
     ODOMETRY,
     POSE_WITH_COVARIANCE,
@@ -136,6 +139,22 @@ def encode_joint_state(types: MessageTypes, record: JointStateRecord) -> Any:
     )
 
 
+def encode_imu(types: MessageTypes, record: ImuRecord) -> Any:
+    """Build a ``sensor_msgs/Imu`` without an orientation; what is not known is marked so."""
+    absent = np.array([ABSENT, *np.zeros(8)])
+    force = np.zeros(3) if record.acceleration is None else record.acceleration
+    return types.make(
+        IMU,
+        header=make_header(types, record.stamp, record.frame_id),
+        orientation=make_quaternion(types, np.eye(4)),
+        orientation_covariance=absent,
+        angular_velocity=make_vector(types, record.angular_velocity),
+        angular_velocity_covariance=np.zeros(9),
+        linear_acceleration=make_vector(types, force),
+        linear_acceleration_covariance=absent if record.acceleration is None else np.zeros(9),
+    )
+
+
 def encode_transforms(types: MessageTypes, records: Sequence[TransformRecord]) -> Any:
     """Build a ``tf2_msgs/TFMessage``."""
     transforms = [
@@ -166,6 +185,7 @@ _ENCODERS: dict[type[Record], tuple[str, Callable[[MessageTypes, Any], Any]]] = 
     OdometryRecord: (ODOMETRY, encode_odometry),
     PoseRecord: (POSE_WITH_COVARIANCE, encode_pose),
     JointStateRecord: (JOINT_STATE, encode_joint_state),
+    ImuRecord: (IMU, encode_imu),
     TransformRecord: (TF, lambda types, record: encode_transforms(types, [record])),
     TextRecord: (STRING, encode_text),
 }

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
+
 import numpy as np
 
 from infomap_ros.errors import InvalidInputError, MalformedMessageError
 from infomap_ros.geometry.records import (
+    ImuRecord,
     JointStateRecord,
     OdometryRecord,
     PoseRecord,
@@ -19,9 +22,11 @@ POSE = "geometry_msgs/msg/PoseStamped"
 POSE_WITH_COVARIANCE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 ODOMETRY = "nav_msgs/msg/Odometry"
 JOINT_STATE = "sensor_msgs/msg/JointState"
+IMU = "sensor_msgs/msg/Imu"
 TF = "tf2_msgs/msg/TFMessage"
 TRANSFORM = "geometry_msgs/msg/TransformStamped"
 STRING = "std_msgs/msg/String"
+ABSENT = -1.0  # first number of a covariance in sensor_msgs/Imu: that part is not measured
 
 
 def decode_pose(message: object) -> PoseRecord:
@@ -99,6 +104,23 @@ def decode_joint_state(message: object) -> JointStateRecord:
         positions[known],
         velocities[known] if have_velocities else None,
     )
+
+
+def decode_imu(message: object) -> ImuRecord:
+    """Read a ``sensor_msgs/Imu``; its orientation is not read.
+
+    Raises:
+        MalformedMessageError: an angular velocity is not finite, or it says that it has none.
+    """
+    fields = MessageFields(message, IMU)
+    stamp, frame_id = fields.header()
+    if fields.numbers("angular_velocity_covariance", size=9)[0] == ABSENT:
+        fields.fail("has no angular velocity")
+    acceleration = None
+    if fields.numbers("linear_acceleration_covariance", size=9)[0] != ABSENT:
+        with suppress(MalformedMessageError):  # NaN, where there is no accelerometer
+            acceleration = _vector(fields.child("linear_acceleration"))
+    return ImuRecord(stamp, frame_id, _vector(fields.child("angular_velocity")), acceleration)
 
 
 def decode_transforms(message: object, is_static: bool = False) -> tuple[TransformRecord, ...]:

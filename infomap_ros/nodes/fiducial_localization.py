@@ -24,6 +24,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from sensor_msgs.msg import Imu
 
 from infomap_ros.errors import ConfigError
 from infomap_ros.geometry import PoseRecord
@@ -37,6 +38,7 @@ from infomap_ros.localization.saved_localization import SavedLocalization
 from infomap_ros.localization.target.config import TargetConfig, make_detector
 from infomap_ros.localization.target.tag_detection import TagPairing, believed_tags
 from infomap_ros.localization.target.team_alignment import TeamTagsConfig
+from infomap_ros.messages import decode_imu
 from infomap_ros.messages.fiducials import TAG_DETECTIONS, decode_tag_detections
 from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.base import MonitoredNode
@@ -67,6 +69,7 @@ from infomap_ros.nodes.team.team_radio import TeamRadioConfig
 from infomap_ros.nodes.team.team_topics import TeamIdentityConfig
 from infomap_ros.pipeline.camera_localizer import CameraLocalizer, CameraLocalizerConfig
 from infomap_ros.pipeline.image_synchronizer import ImageSet
+from infomap_ros.pipeline.inertial import InertialSensor
 from infomap_ros.pipeline.perception import (
     DepthViewEstimator,
     ImageSources,
@@ -103,11 +106,15 @@ class ViewInputs:
         self._node, self._on_view, self._on_clock_jump = node, on_view, on_clock_jump
         config = node.config(FiducialLocalizationConfig)
         is_required = config.motion == "odometry"
-        self._motion = None
+        self._motion, self._inertial = None, InertialSensor()
         if config.motion != "none":
-            self._motion = PostureListener(node, self._on_motion, required=is_required)
+            self._motion = PostureListener(
+                node, self._on_motion, required=is_required, on_edge=self._inertial.add
+            )
+            node.listen(Imu, "imu", self._on_imu, qos.sensor_data(1000), required=False)
         self._views: ViewSynchronizer[ImageSet] = ViewSynchronizer(
             self._motion,
+            self._inertial,
             is_required=is_required,
             waiting=node.config(WaitingQueueConfig),
             on_drop=self._on_drop,
@@ -133,9 +140,14 @@ class ViewInputs:
         self._images.ask_witness()
         self._take()
 
+    def _on_imu(self, message: Imu) -> None:
+        self._inertial.add(decode_imu(message))
+        self._take()
+
     def _on_images(self, images: ImageSet) -> None:
         if self._motion is not None:
             self._motion.look_from(images.frame_id)
+        self._inertial.look_from(images.frame_id)
         self._tags.frame_id = images.frame_id
         if self._views.add(images):
             self._node.get_logger().warning(CLOCK_JUMPED)
@@ -253,7 +265,7 @@ class FiducialLocalizationNode(MonitoredNode):
             framed.view.tags = believed_tags(tags, framed.view.image.shape, self.drop)
         others = self._teammates.bodies(view.stamp)
         voxel_map = None if self._map is None else self._map.known_map()
-        known = view.posture, view.body, others, voxel_map
+        known = view.posture, view.body, others, voxel_map, view.inertial
         result = self._localizer.locate(framed.view, *known)
         search, self._teammates.origin = self._teammates.search, self._localizer.origin
         self._reporter.report(result, framed.frame_id, view.posture, view.odom_frame, search)

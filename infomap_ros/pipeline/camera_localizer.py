@@ -29,6 +29,7 @@ from infomap_ros.localization.localizer_config import LocalizerConfig
 from infomap_ros.localization.saved_localization import SavedLocalization
 from infomap_ros.localization.target.target import TargetDetector
 from infomap_ros.mapping import VoxelMap
+from infomap_ros.pipeline.inertial import InertialReading
 
 TARGET_ORIGIN = 1
 """Names the origin of each map whose frame is that of the target: it is the same whoever begins."""
@@ -67,6 +68,7 @@ class CameraLocalizer:
         self._localizer: Localizer | None = None
         self._camera: PinholeCamera | None = None
         self._posture: RobotPosture | None = None
+        self._inertial: InertialReading | None = None
         self._saved: SavedLocalization | None = None
         self._is_tracking = True
         self._origin = 0
@@ -79,6 +81,7 @@ class CameraLocalizer:
         body: Sequence[PlacedSolid] = (),
         others: Sequence[PlacedSolid] = (),
         voxel_map: VoxelMap | None = None,
+        inertial: InertialReading | None = None,
     ) -> LocalizedCamera:
         """Locate the camera.
 
@@ -88,6 +91,7 @@ class CameraLocalizer:
             body: of the robot, placed in the camera's frame.
             others: bodies of teammates, placed in the map.
             voxel_map: for the certainty of new fiducials, eq. (19).
+            inertial: what an inertial sensor on the camera tells of that time, if there is one.
 
         Raises:
             InvalidInputError: the view is not later than those before.
@@ -96,11 +100,12 @@ class CameraLocalizer:
         """
         self._check_frozen(view, posture)
         if self._localizer is None or view.camera != self._camera:
-            self._begin(view, posture)
+            self._begin(view, posture, None if inertial is None else inertial.up)
         assert self._localizer is not None
         prior = self._prior(posture)
-        self._posture = posture
-        result = self._localizer.locate(view, prior, voxel_map, body=body, others=others)
+        turn = None if inertial is None else inertial.turn_since(self._inertial)
+        self._posture, self._inertial = posture, inertial
+        result = self._localizer.locate(view, prior, voxel_map, body=body, others=others, turn=turn)
         self._is_tracking = result.state == "tracking"
         if result.uncertainty is None:
             return result
@@ -133,7 +138,7 @@ class CameraLocalizer:
 
     def reset(self) -> None:
         """Forget everything; the next view begins anew."""
-        self._localizer = self._posture = self._saved = self._still = None
+        self._localizer = self._posture = self._inertial = self._saved = self._still = None
         self._is_tracking = True
 
     @property
@@ -211,9 +216,10 @@ class CameraLocalizer:
         """The scene's fiducials as they are known now, None before the first view."""
         return None if self._localizer is None else self._localizer.fiducials()
 
-    def _begin(self, view: RangeView, posture: RobotPosture | None) -> None:
+    def _begin(self, view: RangeView, posture: RobotPosture | None, up: FloatArray | None) -> None:
         """Make a localizer for a camera; it goes on from what was saved, if anything was."""
-        self._localizer, self._posture = self._make(view.camera, posture), None
+        self._localizer = self._make(view.camera, posture, up)
+        self._posture = self._inertial = None
         self._camera = view.camera
         saved, self._saved = self._saved, None
         if saved is None:
@@ -226,9 +232,16 @@ class CameraLocalizer:
         self._origin = saved.origin
         self._posture = saved.posture
 
-    def _make(self, camera: PinholeCamera, posture: RobotPosture | None) -> Localizer:
-        """A localizer whose map is the target's frame, or odometry's, or level by assumption."""
+    def _make(
+        self, camera: PinholeCamera, posture: RobotPosture | None, up: FloatArray | None
+    ) -> Localizer:
+        """A localizer whose map is the target's frame, or odometry's, or level.
+
+        An inertial sensor tells what is level, or it is assumed.
+        """
         start, covariance = looking_along_x(self._config.start_tilt), _LEAST_SIGMA**2 * np.eye(6)
+        if up is not None:
+            start = level_by(up)
         if posture is not None:
             start = posture.T_odom_camera
             covariance = self._config.motion.config.kinematics_covariance()
@@ -256,6 +269,26 @@ def looking_along_x(tilt: float) -> FloatArray:
     return make_transform(down @ [[0, 0, 1], [-1, 0, 0], [0, -1, 0]], [0.0, 0.0, 0.0])
 
 
+def level_by(up: FloatArray) -> FloatArray:
+    """Optical frame at the origin of a level map, its optical axis above x.
+
+    Args:
+        up: unit vector against gravity in the optical frame, shape (3,).
+
+    Returns:
+        ``T_map_camera``, shape (4, 4). A camera that looks straight up or down has the upper edge
+        of its image toward x where it looks down, and away from it where it looks up.
+    """
+    ahead = np.array([0.0, 0.0, 1.0])
+    level = ahead - (ahead @ up) * up
+    if np.linalg.norm(level) < _VERTICAL:
+        level = np.array([0.0, np.sign(up[2]), 0.0])
+        level = level - (level @ up) * up
+    level = level / np.linalg.norm(level)
+    return make_transform(np.array([level, np.cross(up, level), up]), [0.0, 0.0, 0.0])
+
+
+_VERTICAL = 0.02  # [rad] from the vertical, within which a camera looks straight up or down
 _LEAST_CORRECTION = 0.002  # motion of a keyframe that matters [m], and as many radians
 
 

@@ -23,6 +23,7 @@ from infomap_ros.localization.localized_camera import LocalizedCamera
 from infomap_ros.mapping.scans.integration import IntegrationReport
 from infomap_ros.messages.motions import KeyframePoses
 from infomap_ros.pipeline.camera_localizer import CameraLocalizer, KeyframeChanges
+from infomap_ros.pipeline.inertial import InertialSensor
 from infomap_ros.pipeline.map_builder import MapBuilder
 from infomap_ros.pipeline.perception import FramedView, Seen
 from infomap_ros.pipeline.range_estimator import RangeMeasurement
@@ -70,6 +71,7 @@ class Localization:
         views: wait until it is known how the robot stood.
         motion: of the robot; None where it is not used.
         localizer: that locates.
+        inertial: sensor on the camera; None where there is none.
         changes: of its keyframes.
         others: bodies of teammates in the map at a time [ns]: they carry no fiducials.
     """
@@ -77,6 +79,7 @@ class Localization:
     views: ViewSynchronizer[FramedView]
     motion: RobotMotion | None
     localizer: CameraLocalizer
+    inertial: InertialSensor | None = None
     changes: KeyframeChanges = field(default_factory=KeyframeChanges)
     others: Callable[[int], Sequence[PlacedSolid]] = lambda _: ()
 
@@ -148,8 +151,10 @@ class Pipeline:
             fusion.body.add(seen)
         if localization is None and fusion is not None:
             fusion.scans.add_pose(seen)
-        elif localization is not None and localization.motion is not None:
-            localization.motion.add(seen)
+        elif localization is not None:
+            for source in (localization.motion, localization.inertial):
+                if source is not None:
+                    source.add(seen)
 
     def _work(self, now: int | None = None) -> Iterator[Located | Fused]:
         if self._localization is not None:
@@ -165,7 +170,8 @@ class Pipeline:
         localizer = localization.localizer
         try:
             others = localization.others(view.stamp)
-            result = localizer.locate(view.images.view, view.posture, view.body, others)
+            robot = view.posture, view.body, others
+            result = localizer.locate(view.images.view, *robot, inertial=view.inertial)
         except InfomapError as error:
             self.refused[str(error)] += 1
             return None

@@ -12,6 +12,7 @@ from infomap_ros.geometry import PlacedSolid, PoseRecord
 from infomap_ros.geometry.records import WaitingQueue, WaitingQueueConfig
 from infomap_ros.localization.filter.motion_prior import RobotPosture
 from infomap_ros.pipeline.clock_jumps import CLOCK_JUMP
+from infomap_ros.pipeline.inertial import InertialReading, InertialSensor
 from infomap_ros.pipeline.scan_synchronizer import CLOCK_JUMPED
 
 
@@ -57,12 +58,14 @@ class PosturedView(Generic[Item]):
         posture: where base and camera were by odometry and joints, None where that is not known.
         body: solids of the robot in the camera's frame.
         odom_frame: frame of odometry, empty where there is none.
+        inertial: what an inertial sensor tells, None where there is none, or odometry.
     """
 
     images: Item
     posture: RobotPosture | None = None
     body: Sequence[PlacedSolid] = ()
     odom_frame: str = ""
+    inertial: InertialReading | None = None
 
     @property
     def stamp(self) -> int:
@@ -78,6 +81,7 @@ class ViewSynchronizer(Generic[Item]):
 
     Args:
         motion: of the robot; None where it is not used.
+        inertial: sensor on the camera, which tells how it turns where there is no odometry.
         is_required: whether views have to wait although no odometry is offered yet.
         waiting: how long views wait.
         on_drop: called with the reason, in short and in a sentence, of each view that is dropped.
@@ -87,13 +91,14 @@ class ViewSynchronizer(Generic[Item]):
     def __init__(
         self,
         motion: MotionSource | None,
+        inertial: InertialSensor | None = None,
         *,
         is_required: bool = False,
         waiting: WaitingQueueConfig | None = None,
         on_drop: Callable[[str, str], None] = lambda *_: None,
         on_unknown_motion: Callable[[str], None] = lambda _: None,
     ) -> None:
-        self._motion, self._is_required = motion, is_required
+        self._motion, self._inertial, self._is_required = motion, inertial, is_required
         self._on_drop, self._on_unknown_motion = on_drop, on_unknown_motion
         self._newest, self._has_begun = 0, False
         self._without: list[Item] = []
@@ -130,8 +135,13 @@ class ViewSynchronizer(Generic[Item]):
     def _pose_at(self, stamp: int) -> PoseRecord:
         """Whether the robot's posture is known, or nobody tells it; see `WaitingQueue`."""
         motion = self._used_motion
-        pose = np.eye(4) if motion is None else motion.posture(stamp).T_odom_camera
-        return PoseRecord(stamp, "", pose)
+        if motion is not None:
+            return PoseRecord(stamp, "", motion.posture(stamp).T_odom_camera)
+        self._reading_at(stamp)
+        return PoseRecord(stamp, "", np.eye(4))
+
+    def _reading_at(self, stamp: int) -> InertialReading | None:
+        return None if self._inertial is None else self._inertial.at(stamp)
 
     def _on_no_pose(self, images: Item, reason: str, sentence: str) -> None:
         if reason == CLOCK_JUMPED or (self._used_motion is not None and not self._has_begun):
@@ -144,6 +154,6 @@ class ViewSynchronizer(Generic[Item]):
         """Images with the robot's posture and body."""
         motion = self._used_motion
         if motion is None:
-            return PosturedView(images)
+            return PosturedView(images, inertial=self._reading_at(images.stamp))
         stamp = images.stamp
         return PosturedView(images, motion.posture(stamp), motion.body(stamp), motion.odom_frame)

@@ -29,9 +29,10 @@ from infomap_ros.localization.filter.motion_prior import KinematicMotion
 from infomap_ros.localization.localized_camera import LocalizedCamera
 from infomap_ros.localization.localizer_config import LocalizerConfig
 from infomap_ros.localization.target.config import TargetConfig, make_detector
-from infomap_ros.messages import ODOMETRY
+from infomap_ros.messages import IMU, ODOMETRY
 from infomap_ros.motion.robot.robot_model import DescriptionConfig, RobotModel
 from infomap_ros.pipeline.camera_localizer import CameraLocalizer, CameraLocalizerConfig
+from infomap_ros.pipeline.inertial import InertialSensor
 from infomap_ros.pipeline.perception import (
     DepthViewEstimator,
     FramedView,
@@ -202,13 +203,13 @@ class MotionInputConfig:
     motion: str = parameter(
         "auto",
         "What the camera's motion is expected from: odometry (with joints or tf), nothing but "
-        "that it is not too fast, or odometry where there is some.",
+        "that it is not too fast, or odometry where there is some, else an IMU on the camera.",
         choices=("auto", "odometry", "none"),
     )
     start_tilt: float = parameter(
         0.0,
-        "How far the camera looks down at the beginning, where neither odometry nor target say "
-        "what is up.",
+        "How far the camera looks down at the beginning, where neither odometry, target nor IMU "
+        "say what is up.",
         unit="rad",
         low=-1.6,
         high=1.6,
@@ -230,7 +231,7 @@ class CameraOptions:
     Attributes:
         topics: topics that the user names, under ``left_image``, ``right_image``, ``left_info``,
             ``right_info``, ``depth``, ``info``, ``joints``; for localization also ``color`` and
-            ``odometry``, else ``pose``.
+            ``odometry`` and ``imu``, else ``pose``.
         robot: path or text of a URDF; the bag's robot description where empty.
     """
 
@@ -262,6 +263,8 @@ class LocalizeInputs:
         camera_frame: optical frame of the camera.
         motion: of the robot; None where it is not used.
         odometry_topic: empty where it is not used.
+        inertial: sensor on the camera, which counts where there is no odometry.
+        imu_topic: empty where it is not used.
         topics: all topics that are to be read.
         frames: number of images that should become views.
     """
@@ -270,6 +273,8 @@ class LocalizeInputs:
     camera_frame: str
     motion: RobotMotion | None
     odometry_topic: str
+    inertial: InertialSensor | None
+    imu_topic: str
     topics: tuple[str, ...]
     frames: int
 
@@ -288,19 +293,23 @@ def find_localize_inputs(
     image_topic = perception.sources.images[0]
     camera_frame = frame_of(bag, image_topic)
     odometry = _find_odometry(types, options)
-    tf_topics = tf_topics_of(types) if odometry else []
+    imu = "" if odometry else _find_imu(bag, types, options, camera_frame)
+    tf_topics = tf_topics_of(types) if odometry or imu else []
     joints = joint_topics_of(types, options.topics.get("joints", "")) if odometry else []
-    motion = None
+    static = static_transforms(bag, tf_topics)
+    motion = inertial = None
     if odometry:
         robot = _find_robot(bag, types, options)
-        static = static_transforms(bag, tf_topics)
         motion = RobotMotion(camera_frame, robot, static, options.poses)
-    moving = moving_tf_topics(tf_topics)
-    topics = dict.fromkeys(
-        [*perception.sources.names, *([odometry] if odometry else []), *moving, *joints]
-    )
+    elif imu:
+        inertial = InertialSensor(camera_frame, static)
+    moving = moving_tf_topics(tf_topics) if odometry else []
+    motions = [topic for topic in (odometry, imu) if topic]
+    topics = dict.fromkeys([*perception.sources.names, *motions, *moving, *joints])
     frames = bag.topics[image_topic].count
-    return LocalizeInputs(perception, camera_frame, motion, odometry, tuple(topics), frames)
+    return LocalizeInputs(
+        perception, camera_frame, motion, odometry, inertial, imu, tuple(topics), frames
+    )
 
 
 def _find_views(bag: Recording, options: LocalizeOptions, is_dense: bool) -> Perception:
@@ -324,6 +333,26 @@ def _find_odometry(types: Topics, options: LocalizeOptions) -> str:
     if not found and options.input.motion == "odometry":
         raise BagError("no odometry in the bag, and input.motion asks for it")
     return min(found, key=len, default="")
+
+
+def _find_imu(bag: Recording, types: Topics, options: LocalizeOptions, camera_frame: str) -> str:
+    """Topic of an inertial sensor that is fixed to the camera; empty where there is none."""
+    given = options.topics.get("imu", "")
+    if given:
+        check_present(types, [given])
+    if options.input.motion == "none":
+        return ""
+    sensor = InertialSensor(camera_frame, static_transforms(bag, tf_topics_of(types)))
+    found = sorted((n for n, kind in types.items() if kind == IMU), key=len)
+    for topic in [given] if given else found:
+        sample = next(bag.records([topic]), None)
+        if sample is not None and sensor.is_mounted(sample.record.frame_id):
+            return topic
+        why = "nothing on it can be read"
+        if sample is not None:
+            why = f"no fixed transform leads from {sample.record.frame_id} to {camera_frame}"
+        bag.problems.append(f"{topic} is not used: {why}")
+    return ""
 
 
 def _find_robot(bag: Recording, types: Topics, options: LocalizeOptions) -> RobotModel | None:
@@ -408,6 +437,7 @@ class LocalizeRun:
         figures = self.log.figures() | {
             "image_topic": self.inputs.perception.sources.images[0],
             "odometry_topic": self.inputs.odometry_topic,
+            "imu_topic": self.inputs.imu_topic,
             "camera_frame": self.inputs.camera_frame,
             "views_without_odometry": sum(self.without_motion.values()),
             "records_refused": sum(self.refused.values()),
@@ -441,10 +471,11 @@ def make_localization(
     """
     views: ViewSynchronizer[FramedView] = ViewSynchronizer(
         inputs.motion,
+        inputs.inertial,
         waiting=options.waiting,
         on_drop=lambda reason, _: dropped.update([reason]),
         on_unknown_motion=lambda reason: without_motion.update([reason]),
     )
     motion, detector = KinematicMotion(options.odometry), make_detector(options.target)
     config = CameraLocalizerConfig(options.localizer, motion, detector, options.input.start_tilt)
-    return Localization(views, inputs.motion, CameraLocalizer(config))
+    return Localization(views, inputs.motion, CameraLocalizer(config), inputs.inertial)

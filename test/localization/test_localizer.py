@@ -156,6 +156,23 @@ def test_odometry_carries_the_pose_through_darkness():
         check(result, poses[i], 0.05)
 
 
+@pytest.mark.parametrize("has_gyroscope", [True, False])
+def test_by_a_gyroscope_a_camera_that_turned_in_darkness_knows_where_it_looks(
+    has_gyroscope: bool,
+) -> None:
+    turned = [0.3 * min(max(i - 7, 0), 4) for i in range(16)]  # to where it has never looked
+    poses = [looking((-0.5 + 0.01 * i, 0.2, 0.1), turned[i] - 0.3, 0.05) for i in range(16)]
+    localizer, rng = Localizer(CAMERA, T_map_camera=poses[0]), np.random.default_rng(6)
+    for i, pose in enumerate(poses):
+        motion = perturb_transform(invert_transform(poses[i - 1]) @ pose, rng.normal(0, 1e-3, 6))
+        turn = motion[:3, :3] if i and has_gyroscope else None
+        seen = dark((i + 1) * STEP) if 8 <= i < 11 else view((i + 1) * STEP, pose, seed=i)
+        result = localizer.locate(seen, turn=turn)
+    assert result.state == ("tracking" if has_gyroscope else "lost")
+    if has_gyroscope:
+        check(result, poses[-1], 0.05)
+
+
 def test_odometry_that_does_not_know_of_being_carried_is_not_believed_for_long():
     poses = along(12)
     localizer = Localizer(CAMERA, T_map_camera=poses[0])

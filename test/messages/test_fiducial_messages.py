@@ -81,4 +81,5 @@ def test_any_bytes_are_fiducials_or_refused(content: bytes) -> None:
     except MalformedMessageError:
         return
     assert np.isfinite(received.positions).all()
-    assert (np.linalg.eigvalsh(received.covariances) > -1e30).all()
+    variances = np.linalg.eigvalsh(received.covariances)
+    assert (variances[:, 0] >= -1e-5 * variances[:, 2]).all()  # as float32 rounds

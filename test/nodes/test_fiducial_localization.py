@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from nav_msgs.msg import Odometry, Path
-from sensor_msgs.msg import Image, PointCloud2
+from scipy.spatial.transform import Rotation
+from sensor_msgs.msg import Image, Imu, PointCloud2
 from std_srvs.srv import Trigger
 from visualization_msgs.msg import MarkerArray
 
@@ -21,6 +22,8 @@ from infomap_ros.geometry import (
     invert_transform,
     make_transform,
 )
+from infomap_ros.geometry.records import ImuRecord
+from infomap_ros.geometry.resources import find_share
 from infomap_ros.localization.saved_localization import SavedLocalization
 from infomap_ros.mapping import VoxelMap, VoxelMapConfig
 from infomap_ros.messages import (
@@ -28,7 +31,9 @@ from infomap_ros.messages import (
     decode_odometry,
     decode_transforms,
     encode_image,
+    encode_imu,
     encode_pose,
+    encode_transforms,
 )
 from infomap_ros.messages.motions import decode_keyframe_poses
 from infomap_ros.messages.pose_uncertainty import decode_pose_uncertainty
@@ -37,6 +42,7 @@ from infomap_ros.nodes.common import qos
 from infomap_ros.nodes.common.message_types import message_class
 from infomap_ros.nodes.fiducial_localization import FiducialLocalizationNode
 from infomap_ros.nodes.locating import localization_outputs
+from infomap_ros.replay.bags.reader import BagReader
 from test.nodes.bag_stage import IMAGES, INFOS, MOTION, TYPES, BagStage
 from test.nodes.rovers import CAMERA as ROOM_CAMERA
 from test.nodes.rovers import room_scan, update_messages
@@ -217,6 +223,29 @@ def test_without_useful_odometry_the_map_begins_level_at_the_camera(
     (stamp,) = stage.run(1)
     expected = [[0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0], [0, 0, 0, 1]]
     assert np.allclose(stage.poses[stamp].transform, expected, atol=1e-9)
+
+
+def test_an_inertial_sensor_says_what_is_level(graph: Any) -> None:
+    stage = Stage(graph, motion="auto", robot=False)
+    tilted = Rotation.from_euler("xyz", [0.3, 0.0, 0.2]).as_matrix()  # R_imu_camera
+    samples = graph.publisher(Imu, "imu", 1000)
+    tf_static = graph.tester.create_publisher(message_class(TF), "/tf_static", qos.latched())
+    graph.connect(samples, tf_static)
+    edge = TransformRecord(0, "imu", CAMERA, make_transform(tilted, np.zeros(3)), True)
+    tf_static.publish(encode_transforms(TYPES, [edge]))
+    up = np.array([0.1, -0.95, -0.3]) / np.linalg.norm([0.1, -0.95, -0.3])  # in the camera
+    with BagReader(find_share("bags/rover_rocks")) as bag:
+        first = next(iter(bag.records(IMAGES[:1]))).record.stamp
+    for number in range(-20, 21):
+        force = 9.81 * tilted @ up
+        sample = ImuRecord(first + number * SECOND // 20, "imu", np.zeros(3), force)
+        samples.publish(encode_imu(TYPES, sample))
+    stage.node._inputs._inertial.look_from(CAMERA)
+    graph.spin_until(lambda: stage.node._inputs._inertial._stamps[-1:] > [first], "the samples")
+    (stamp,) = stage.run(1, first=0)
+    found = stage.poses[stamp].transform[:3, :3]
+    np.testing.assert_allclose(found @ up, [0.0, 0.0, 1.0], atol=1e-6)
+    assert found[0, 2] > 0.9 and abs(found[1, 2]) < 1e-6  # ahead is along x
 
 
 def test_without_odometry_nothing_begins_where_it_is_wanted(graph: Any) -> None:

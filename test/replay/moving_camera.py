@@ -7,6 +7,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from infomap_ros.geometry import (
     CameraInfoRecord,
@@ -18,6 +19,7 @@ from infomap_ros.geometry import (
     invert_transform,
     make_transform,
 )
+from infomap_ros.geometry.records import ImuRecord
 from infomap_ros.replay.bags.writer import BagWriter
 
 from .scenes import pinhole_calibration
@@ -27,6 +29,12 @@ START, STEP = 1_000_000_000, 100_000_000
 WALL = 2.0  # x of the wall that the camera looks at [m]
 OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 T_BASE_CAMERA = make_transform(OPTICAL, [0.1, 0.0, 0.2])
+
+
+IMU_STEP = 5_000_000
+R_OPTICAL_IMU = Rotation.from_euler("xyz", [0.5, 1.0, -2.0]).as_matrix()
+TILT = Rotation.from_euler("xyz", [0.05, 0.2, 0.0]).as_matrix()
+"""By which the wall is out of plumb."""
 
 
 def pose(index: int) -> np.ndarray:
@@ -62,9 +70,15 @@ def _texture() -> np.ndarray:
 
 
 def entries(
-    count: int = 10, *, odometry: bool = False, color: bool = True
+    count: int = 10, *, odometry: bool = False, color: bool = True, imu: str = ""
 ) -> Iterator[tuple[str, Record]]:
-    """Topics and records."""
+    """Topics and records; `imu` is the frame of an inertial sensor, turned to the camera."""
+    if imu:
+        T_optical_imu = make_transform(R_OPTICAL_IMU, np.zeros(3))
+        yield "/tf_static", TransformRecord(START, "optical", "imu", T_optical_imu, True)
+        for stamp in range(START - 20 * IMU_STEP, START + count * STEP, IMU_STEP):
+            force = R_OPTICAL_IMU.T @ OPTICAL.T @ TILT.T @ [0.0, 0.0, 9.81]
+            yield "/imu/data", ImuRecord(stamp, imu, np.zeros(3), force)
     if odometry:
         yield "/tf_static", TransformRecord(START, "base_link", "optical", T_BASE_CAMERA, True)
     for index in range(count):

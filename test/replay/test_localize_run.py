@@ -21,7 +21,7 @@ from infomap_ros.replay.map_inputs import MapInputConfig, MapOptions
 from infomap_ros.replay.map_run import MapRun
 from infomap_ros.replay.mapped_bag import open_recording
 
-from .moving_camera import START, STEP, WALL, pose, write
+from .moving_camera import OPTICAL, START, STEP, TILT, WALL, pose, write
 
 
 @pytest.fixture(scope="module")
@@ -58,6 +58,27 @@ def test_images_alone_begin_a_level_map_at_the_camera(hand_held):
     summary = run.summary()
     assert (summary["views"], summary["tracking"], summary["lost"]) == (10, 10, 0)
     np.testing.assert_allclose(summary["path_length"], 9 * 0.025, atol=0.004)
+
+
+def test_by_an_inertial_sensor_the_map_is_level_however_the_camera_is_held(tmp_path):
+    run = localized(write(tmp_path / "bag", imu="imu"))
+    summary = run.summary()
+    assert (summary["imu_topic"], summary["tracking"]) == ("/imu/data", 10)
+    transforms = run.log.trajectory.transforms
+    up = transforms[0][:3, :3].T @ [0.0, 0.0, 1.0]  # in the camera
+    np.testing.assert_allclose(up, OPTICAL.T @ TILT.T @ [0.0, 0.0, 1.0], atol=1e-3)
+    check_path(transforms, transforms[0] @ np.linalg.inv(pose(0)))
+
+
+def test_an_inertial_sensor_that_nothing_ties_to_the_camera_is_named(tmp_path):
+    with BagReader(write(tmp_path / "bag", imu="imu_of_nobody")) as bag:
+        run = LocalizeRun(bag)
+        run.run()
+    assert run.summary()["imu_topic"] == "" and run.summary()["tracking"] == 10
+    (problem,) = bag.problems
+    assert problem.startswith("/imu/data is not used") and "imu_of_nobody" in problem
+    chosen = {"input": LocalizeInputConfig(motion="none")}
+    assert localized(write(tmp_path / "other", imu="imu"), **chosen).summary()["imu_topic"] == ""
 
 
 def test_a_car_is_followed_from_the_first_pair_on(real_data):

@@ -8,10 +8,12 @@ import cv2
 import numpy as np
 import pytest
 import yaml
+from scipy.spatial.transform import Rotation
 
 from infomap_ros.errors import BagError, CalibrationError, InvalidInputError
 from infomap_ros.geometry import CameraInfoRecord, ImageRecord, PoseRecord, rig_from_calibrations
 from infomap_ros.pipeline.image_synchronizer import intensity_pixels
+from infomap_ros.pipeline.inertial import InertialSensor
 from infomap_ros.replay.bags.reader import BagReader
 from infomap_ros.replay.bags.topics import find_depth_topics, find_pose_topic, find_stereo_topics
 from infomap_ros.replay.map_run import MapRun
@@ -459,3 +461,72 @@ def test_pixels_of_every_brightness_encoding():
     np.testing.assert_array_equal(intensity_pixels(wide), [[0x12, 0xFF]])
     with pytest.raises(InvalidInputError, match="32FC1"):
         intensity_pixels(ImageRecord(0, "", np.zeros((2, 2), np.float32), "32FC1"))
+
+
+IMU_TABLE = """#timestamp [ns],w_RS_S_x [rad s^-1],w_y,w_z,a_RS_S_x [m s^-2],a_y,a_z
+1520530308181901469,0.10,-0.08,0.02,-0.35,0.00,9.92
+1520530308186917469,nan,-0.08,0.01,-0.31,0.01,9.95
+1520530308176885469,0.11,-0.07,0.02,-0.36,0.00,9.91
+"""
+
+
+def euroc_with(folder: Path, table: str, calibration: str) -> SequenceReader:
+    left, right = LAYOUT_FILES["euroc"]
+    for name in (*left, *right):
+        write_images((folder / name).parent, [Path(name).name])
+    (folder / "mav0" / "imu0").mkdir()
+    (folder / "mav0" / "imu0" / "data.csv").write_text(table)
+    (folder / "calib.yaml").write_text(calibration)
+    return open_recording(folder, [folder / "calib.yaml"])
+
+
+TIED = KALIBR.replace(
+    "cam1:", "  T_cam_imu: [[0, 1, 0, 0.1], [0, 0, 1, 0], [1, 0, 0, 0], [0, 0, 0, 1]]\ncam1:"
+)
+
+
+def test_samples_of_an_inertial_sensor_come_with_its_place_on_the_camera(tmp_path):
+    reader = euroc_with(tmp_path / "folder", IMU_TABLE, TIED)
+    samples = [entry.record for entry in reader.records(["/imu"])]
+    assert [sample.stamp for sample in samples] == [1520530308176885469, 1520530308181901469]
+    np.testing.assert_array_equal(samples[1].angular_velocity, [0.10, -0.08, 0.02])
+    np.testing.assert_array_equal(samples[1].acceleration, [-0.35, 0.0, 9.92])
+    options = SequenceOptions(calibration=[tmp_path / "folder" / "calib.yaml"])
+    convert("euroc", tmp_path / "folder", tmp_path / "bag", options)
+    with BagReader(tmp_path / "bag") as bag:
+        assert [entry.record.stamp for entry in bag.records(["/imu"])] == [
+            sample.stamp for sample in samples
+        ]
+        (edge,) = (entry.record for entry in bag.records(["/tf_static"]))
+    assert (edge.frame_id, edge.child_frame_id) == ("left_optical_frame", "imu")
+    np.testing.assert_allclose(edge.transform[:3, 3], [0.1, 0.0, 0.0], atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("table", "calibration", "said"),
+    [
+        (IMU_TABLE, KALIBR, "does not say where it is"),
+        ("1,2,3\n", TIED, "is no table of an inertial sensor"),
+        ("\x00\n", TIED, "holds no line of numbers"),
+    ],
+)
+def test_an_inertial_sensor_that_cannot_be_used_is_named(tmp_path, table, calibration, said):
+    reader = euroc_with(tmp_path, table, calibration)
+    assert "/imu" not in reader.topics
+    assert any(said in problem and "data.csv" in problem for problem in reader.problems)
+
+
+def test_a_real_gyroscope_turns_as_motion_capture_says(real_data):
+    sensor = InertialSensor("left_optical_frame")
+    with open_recording(real_data / "tumvi_room1") as recording:
+        for entry in recording.records(["/tf_static", "/imu"]):
+            sensor.add(entry.record)
+        poses = [entry.record for entry in recording.records(["/camera_pose"])]
+    first, last = poses[12], poses[360]  # 2.9 s apart
+    before, after = sensor.at(first.stamp), sensor.at(last.stamp)
+    turn = after.turn_since(before)
+    true = first.transform[:3, :3].T @ last.transform[:3, :3]
+    assert Rotation.from_matrix(true).magnitude() > np.radians(3.0)
+    assert Rotation.from_matrix(true.T @ turn).magnitude() < np.radians(1.0)
+    level = after.up @ last.transform[:3, :3].T @ [0.0, 0.0, 1.0]
+    assert np.arccos(level) < np.radians(1.0)

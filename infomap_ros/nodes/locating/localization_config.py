@@ -41,7 +41,8 @@ class FiducialLocalizationConfig:
         "What the camera's motion is expected from. odometry: odom, with joint_states and "
         "robot_description; without them nothing is located, and where there is no target the "
         "map begins where odometry does. none: the images alone. auto: "
-        "odometry where odom and robot_description are published.",
+        "odometry where odom and robot_description are published, else imu where tf says where on "
+        "the camera it is.",
         choices=("auto", "odometry", "none"),
     )
     start_tilt: ClassVar[float] = 0.0

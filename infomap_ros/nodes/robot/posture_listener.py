@@ -36,6 +36,7 @@ class PostureListener:
         on_change: called when more is known than before.
         required: whether the node cannot work without odometry.
         on_odometry: called with each record.
+        on_edge: called with each transform of tf that is received.
     """
 
     def __init__(
@@ -45,11 +46,12 @@ class PostureListener:
         *,
         required: bool,
         on_odometry: Callable[[OdometryRecord], None] = lambda _: None,
+        on_edge: Callable[[TransformRecord], None] = lambda _: None,
     ) -> None:
         self._node, self._frames = node, node.config(RobotTrackerConfig)
         self._buffer = node.config(PoseBufferConfig)
         self._on_change, self._log = on_change, node.get_logger()
-        self._pass_odometry = on_odometry
+        self._pass_odometry, self._pass_edge = on_odometry, on_edge
         self._robot: RobotModel | None = None
         self._motion: RobotMotion | None = None
         self._camera_frame = self._frames.camera_frame
@@ -144,6 +146,7 @@ class PostureListener:
 
     def _on_edge(self, edge: TransformRecord) -> None:
         """Transforms give odometry, and the camera where the description does not."""
+        self._pass_edge(edge)
         self._odometry.add(edge)
         if not edge.is_static and (self._motion is None or self._is_on_robot):
             return

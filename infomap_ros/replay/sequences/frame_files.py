@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from infomap_ros.errors import BagError
 from infomap_ros.geometry import PinholeCamera, make_transform, transform_points
+from infomap_ros.geometry.records import ImuRecord
 from infomap_ros.geometry.transforms import FloatArray, transform_from_quaternion
 
 FIRST_STAMP = 1_000_000_000
@@ -177,6 +178,25 @@ def read_poses(table: Path, frames: Sequence[int]) -> tuple[list[tuple[int, Floa
         ], is_body
     except (ValueError, IndexError) as error:
         raise BagError(f"{table} is no table of poses: {error}") from error
+
+
+def read_inertial(table: Path, frame_id: str) -> list[ImuRecord]:
+    """Samples of an inertial sensor as EuRoC and TUM-VI have them, in order of time.
+
+    A line each: time, angular velocity [rad/s], acceleration [m/s^2].
+
+    Raises:
+        BagError: the file cannot be read or is of another form.
+    """
+    try:
+        samples = [
+            ImuRecord(_from_start(row[0]), frame_id, values[:3], values[3:])
+            for row in read_rows(table)
+            if np.isfinite(values := np.array(row[1:7], dtype=float).reshape(6)).all()
+        ]
+    except (ValueError, IndexError) as error:
+        raise BagError(f"{table} is no table of an inertial sensor: {error}") from error
+    return sorted(samples, key=lambda sample: sample.stamp)
 
 
 def nearest_rigid(matrix: FloatArray) -> FloatArray:

@@ -25,6 +25,7 @@ from infomap_ros.replay.sequences.frame_files import (
     images_in,
     nearest_rigid,
     paired,
+    read_inertial,
     read_poses,
     register_depth,
     stamped_by_file,
@@ -54,6 +55,7 @@ _CALIBRATIONS = (
 )
 """Names of calibration files that are looked for, two of a pair of cameras."""
 
+_UNTIED = "the calibration does not say where it is on the cameras (T_cam_imu, T_BS)"
 _OPTICAL_DOWN = (0.0, 1.0, 0.0)
 """What points down in poses that begin with an optical frame."""
 
@@ -126,7 +128,7 @@ def images(folder: Path, options: SequenceOptions) -> ImageSequence:
 
 
 def euroc(folder: Path, options: SequenceOptions) -> ImageSequence:
-    """EuRoC and TUM-VI: ``[mav0/]cam0``, ``cam1``, named by time, and poses of the body.
+    """EuRoC and TUM-VI: ``[mav0/]cam0``, ``cam1``, named by time; ``imu0``, and poses, of the body.
 
     Raises:
         BagError: it is laid out in another way, or not complete.
@@ -138,7 +140,9 @@ def euroc(folder: Path, options: SequenceOptions) -> ImageSequence:
         raise BagError(f"no cam0 and cam1 with images in {folder}: it holds {listing(folder)}")
     tables = ("state_groundtruth_estimate0/data.csv", "mocap0/data.csv", "gt*.csv", "*gt*/*.csv")
     options = _with_poses(root, options, tables)
-    return _stereo_sequence("euroc", root, *_stamped(*found, options), options)
+    names = ("imu0/data.csv", "imu*/data.csv", "imu*.csv", "imu*.txt")
+    inertial = next((path for name in names for path in sorted(root.glob(name))), None)
+    return _stereo_sequence("euroc", root, *_stamped(*found, options), options, inertial)
 
 
 def kitti(folder: Path, options: SequenceOptions) -> ImageSequence:
@@ -352,7 +356,12 @@ def _plain(camera: PinholeCamera) -> CameraCalibration:
 
 
 def _stereo_sequence(
-    layout: str, folder: Path, left: Stamped, right: Stamped, options: SequenceOptions
+    layout: str,
+    folder: Path,
+    left: Stamped,
+    right: Stamped,
+    options: SequenceOptions,
+    inertial: Path | None = None,
 ) -> ImageSequence:
     read, names = _calibration(folder, options, left)
     calibration = read.as_pair(names)
@@ -367,7 +376,16 @@ def _stereo_sequence(
         for name, camera, files in sides
     )
     turn = make_transform(calibration.cameras[0].rectification, [0.0, 0.0, 0.0])
-    return ImageSequence(layout, streams, _poses(options, left, calibration, turn))
+    poses = _poses(options, left, calibration, turn)
+    if inertial is None:
+        return ImageSequence(layout, streams, poses)
+    if calibration.T_first_body is None:
+        return ImageSequence(layout, streams, poses, (f"{inertial} is not used: {_UNTIED}",))
+    try:
+        samples = read_inertial(inertial, "imu")
+    except BagError as error:
+        return ImageSequence(layout, streams, poses, (f"not used: {error}",))
+    return ImageSequence(layout, streams, poses, (), samples, turn @ calibration.T_first_body)
 
 
 def _depth_sequence(

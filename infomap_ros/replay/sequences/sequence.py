@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 
 import cv2
@@ -19,13 +20,14 @@ from infomap_ros.geometry import (
     PoseRecord,
     Record,
 )
+from infomap_ros.geometry.records import ImuRecord, TransformRecord
 from infomap_ros.geometry.transforms import FloatArray
-from infomap_ros.messages import CAMERA_INFO, IMAGE, POSE_WITH_COVARIANCE
+from infomap_ros.messages import CAMERA_INFO, IMAGE, IMU, POSE_WITH_COVARIANCE, TF
 from infomap_ros.replay.bags.reader import BagRecord
 from infomap_ros.replay.bags.source import EVER, Channel
 from infomap_ros.replay.sequences.frame_files import Stamped
 
-POSE_TOPIC = "/camera_pose"
+POSE_TOPIC, IMU_TOPIC, TF_STATIC_TOPIC = "/camera_pose", "/imu", "/tf_static"
 
 Pixels = NDArray[np.generic]
 
@@ -90,28 +92,45 @@ class ImageSequence:
         poses: stamps [ns] and T_map_camera of the (rectified) first camera, shape (4, 4); empty
             where nobody knows.
         remarks: what was assumed, in sentences.
+        inertial: samples of a sensor that is fixed to the cameras, in order of time.
+        T_camera_inertial: where that is on the (rectified) first camera, shape (4, 4).
     """
 
     layout: str
     streams: tuple[Stream, ...]
     poses: Sequence[tuple[int, FloatArray]] = ()
     remarks: tuple[str, ...] = ()
+    inertial: Sequence[ImuRecord] = ()
+    T_camera_inertial: FloatArray | None = None
 
     def events(self) -> Iterator[tuple[str, int, Callable[[], Record]]]:
         """Topic, stamp and maker of every record, in order of time."""
-        order = [(stamp, 0, place) for place, (stamp, _) in enumerate(self.poses)]
-        order += [(stamp, 1, place) for place, (stamp, _) in enumerate(self.streams[0].files)]
-        for stamp, is_frame, place in sorted(order):
-            if is_frame:
+        first, T = self.streams[0], self.T_camera_inertial
+        if self.inertial and T is not None:
+            begin = self.inertial[0]
+            edge = TransformRecord(begin.stamp, first.frame_id, begin.frame_id, T, True)
+            yield TF_STATIC_TOPIC, edge.stamp, lambda: edge
+        kinds = self.poses, first.files, [(sample.stamp, sample) for sample in self.inertial]
+        order = [
+            (stamp, kind, place)
+            for kind, entries in enumerate(kinds)
+            for place, (stamp, _) in enumerate(entries)
+        ]
+        for stamp, kind, place in sorted(order):
+            if kind == 1:
                 for stream in self.streams:
                     for topic, make in stream.records(place):
                         yield topic, stamp, make
             else:
-                yield POSE_TOPIC, stamp, self._pose_maker(place)
+                topic = IMU_TOPIC if kind else POSE_TOPIC
+                yield topic, stamp, partial(self._other_record, kind, place)
 
-    def _pose_maker(self, place: int) -> Callable[[], Record]:
+    def _other_record(self, kind: int, place: int) -> Record:
+        """A sample of the inertial sensor, or a pose."""
+        if kind:
+            return self.inertial[place]
         stamp, pose = self.poses[place]
-        return lambda: PoseRecord(stamp, "map", pose)
+        return PoseRecord(stamp, "map", pose)
 
 
 class SequenceReader:
@@ -128,13 +147,13 @@ class SequenceReader:
         self.skipped: Counter[str] = Counter()
         stamps = [stamp for stamp, _ in sequence.streams[0].files]
         frames, self.start, self.end = len(stamps), min(stamps), max(stamps)
-        types = {POSE_TOPIC: POSE_WITH_COVARIANCE} if sequence.poses else {}
+        counted = [(POSE_TOPIC, POSE_WITH_COVARIANCE, len(sequence.poses))]
+        counted += [(IMU_TOPIC, IMU, len(sequence.inertial))]
+        counted += [(TF_STATIC_TOPIC, TF, int(len(sequence.inertial) > 0))]
         for stream in sequence.streams:
-            types |= {stream.info_topic: CAMERA_INFO, stream.image_topic: IMAGE}
-        self.topics = {
-            name: Channel(name, kind, len(sequence.poses) if name == POSE_TOPIC else frames)
-            for name, kind in types.items()
-        }
+            counted.append((stream.info_topic, CAMERA_INFO, frames))
+            counted.append((stream.image_topic, IMAGE, frames))
+        self.topics = {name: Channel(name, kind, n) for name, kind, n in counted if n}
 
     def records(
         self, topics: Collection[str] | None = None, between: range = EVER

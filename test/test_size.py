@@ -61,7 +61,7 @@ def single_users() -> list[str]:
         (
             "lines that a robot installs",
             sum(LINES[name] for name in NAMES if room_of(name) not in NOT_ON_A_ROBOT),
-            85_670,  # 590 frames apart, 435 changes, 165 sensors, 155 distances, 290 octrees
+            85_710,  # 590 frames apart, 435 changes, 165 sensors, 155 distances, 290 octrees
         ),
         ("modules", len(MODULES), 479),
         ("short modules with one user in their folder", len(single_users()), 2),
@@ -76,10 +76,10 @@ MOST_LINES = {
     "stereo_range": 9_550,
     "map_fusion": 30_530,
     "bag_player": 9_060,
-    "simulator": 29_770,
+    "simulator": 29_830,
     "next_best_view": 46_760,
     "explorer": 42_130,
-    "fiducial_localization": 38_220,
+    "fiducial_localization": 38_280,
     "dead_reckoning": 11_860,
     "robot_driver": 13_530,
     "web_viewer": 32_550,

@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from given_landmarks import STARRY_NIGHT, landmark_section, starry_night
+from given_landmarks import landmark_rows, landmark_section
 from localize_sequences import ROOT, SEQUENCES, add_folders, bag_of, compare, views_of
 from trajectory_errors import truth_at
 
@@ -329,9 +329,7 @@ def main() -> None:
             write_text(PAGE, with_section(PAGE.read_text("utf-8"), arguments.only, rows))
         return
     figures["localization"] = localization(arguments.data, arguments.work, absent)
-    given = arguments.data / STARRY_NIGHT
-    figures["landmarks"] = [starry_night(given)] if given.is_file() else []
-    absent += [] if given.is_file() else ["starry_night"]
+    figures["landmarks"] = landmark_rows(arguments.data, absent)
     figures["range"] = stereo_range(arguments.data, absent)
     figures["room"] = room(arguments.data, arguments.work, absent)
     figures |= {"absent": absent, "minutes": (time.monotonic() - begin) / 60.0}

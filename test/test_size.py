@@ -61,7 +61,7 @@ def single_users() -> list[str]:
         (
             "lines that a robot installs",
             sum(LINES[name] for name in NAMES if room_of(name) not in NOT_ON_A_ROBOT),
-            86_060,  # 390 IMU, 590 frames apart, 435 changes, 165 sensors, 445 octrees, distances
+            86_120,  # 390 IMU, 590 frames apart, 435 changes, 165 sensors, 445 octrees, distances
         ),
         ("modules", len(MODULES), 480),
         ("short modules with one user in their folder", len(single_users()), 2),
@@ -76,10 +76,10 @@ MOST_LINES = {
     "stereo_range": 9_610,
     "map_fusion": 30_600,
     "bag_player": 9_130,
-    "simulator": 29_840,
+    "simulator": 29_890,
     "next_best_view": 46_830,
     "explorer": 42_190,
-    "fiducial_localization": 38_530,
+    "fiducial_localization": 38_590,
     "dead_reckoning": 11_930,
     "robot_driver": 13_590,
     "web_viewer": 32_610,

@@ -27,11 +27,12 @@ def find_share(relative: str | os.PathLike[str]) -> Path:
         Absolute path that exists.
 
     Raises:
-        ResourceError: `relative` is absolute or is in none of the places; names them all.
+        ResourceError: it is in none of the places, and names them all; or it is absolute, so not of
+            the package.
     """
     wanted = Path(relative)
     if wanted.is_absolute():
-        raise ResourceError(f"{wanted} is absolute, expected a path below share/infomap_ros")
+        raise ResourceError(f"there is no file {wanted}")
     folders = list(dict.fromkeys(_share_folders()))
     for folder in folders:
         if (folder / wanted).exists():

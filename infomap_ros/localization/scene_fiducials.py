@@ -208,9 +208,9 @@ class SceneFiducials:
             Number of new fiducials.
         """
         known = self._filter.fiducials().ids
-        for ids, points, covariance in self._tags.unknown(view, known):
-            if self._is_of_scene(points, chosen).all():
-                self._filter.add_landmarks(ids, points, covariance)
+        for ids, points, covariance, in_map in self._tags.unknown(view, known):
+            if in_map or self._is_of_scene(points, chosen).all():
+                self._filter.add_landmarks(ids, points, covariance, in_map=in_map)
         added = self._choose(view, count, chosen) if count else np.zeros(0, np.int64)
         forgotten = np.setdiff1d(known, self._filter.fiducials().ids)
         self._tracker.remove(forgotten)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from infomap_ros.geometry import PinholeCamera, invert_transform, make_transform, transform_points
 from infomap_ros.geometry.transforms import perturb_transform
@@ -17,10 +18,12 @@ from infomap_ros.localization.target import tag_detection
 from infomap_ros.localization.target.config import TargetConfig, make_detector
 from infomap_ros.localization.target.scene_tags import SceneTags, SceneTagsConfig
 from infomap_ros.localization.target.tag_board import TagBoardConfig
-from infomap_ros.localization.target.tag_detector import TagTargetConfig
+from infomap_ros.localization.target.tag_detection import Tags
+from infomap_ros.localization.target.tag_detector import TagTargetConfig, TagTargetDetector
+from infomap_ros.localization.target.target import TargetRefusal
 
 from .fiducial_scene import pose_error, squared_distance
-from .room_views import CAMERA, STEP, looking, view, with_tags
+from .room_views import CAMERA, STEP, dark, looking, view, with_tags
 
 SIDE = 0.4
 PLACES = {
@@ -65,17 +68,48 @@ def test_tags_that_are_seen_again_take_out_the_drift_of_a_loop(monkeypatch: pyte
     assert 0.05 < np.mean(nees) < 2.0
 
 
-def test_tags_of_the_target_are_not_of_the_scene():
+def test_tags_of_the_target_are_landmarks_at_given_places():
     seen = view(STEP, LOOP[0], 0, BEFORE)
     found = SceneTags(TAGS).observe(seen).ids
     assert sorted(found) == [-24, -23, -22, -21, -20, -19, -18, -17]  # tags 4 and 5
     board = TagBoardConfig(side=SIDE, columns=1, rows=1, first_id=4)
-    for pose in ((), (1.0, 0.0, 0.0, 0.0, 0.0, 0.0)):
+    half = SIDE / 2.0
+    for pose in ((), (1.0, 2.0, 3.0, 0.0, 0.0, np.pi / 2.0)):
         target = make_detector(TargetConfig("tags", pose, TagTargetConfig(board)))
-        rest = SceneTags(TAGS, target.board).observe(seen).ids  # type: ignore[union-attr]
-        assert sorted(rest) == [-24, -23, -22, -21]
+        tags = SceneTags(TAGS, target.board)  # type: ignore[union-attr]
+        assert sorted(tags.observe(seen).ids) == sorted(found)
+        places = {int(ids[0]): rest for ids, *rest in tags.unknown(seen, np.zeros(0, np.int64))}
+        corners, covariance, in_map = places[-17]
+        assert in_map and not covariance.any() and not places[-21][2] and places[-21][1].any()
+        first = (0.0, -half, half) if not pose else (1.0 + half, 2.0, 3.0 + half)
+        np.testing.assert_allclose(corners[0], first, atol=1e-9)
     other = make_detector(TargetConfig("tags", (), TagTargetConfig(TagBoardConfig("tag25h9"))))
-    assert len(SceneTags(TAGS, other.board).observe(seen)) == 8  # type: ignore[union-attr]
+    tags = SceneTags(TAGS, other.board)  # type: ignore[union-attr]
+    assert not any(in_map for *_, in_map in tags.unknown(seen, np.zeros(0, np.int64)))
+
+
+def test_a_tag_of_which_two_poses_explain_a_view_is_begun_where_both_may_be():
+    half, rng = 0.08, np.random.default_rng(5)
+    square = half * np.array([[-1.0, 1, 0], [1, 1, 0], [1, -1, 0], [-1, -1, 0]])
+    config = TagBoardConfig(side=2.0 * half, columns=1, rows=1, mounting="flat")
+    detector, values, refused = TagTargetDetector(TagTargetConfig(config)), [], 0
+    dim = dark(STEP)
+    for _ in range(80):
+        turn = Rotation.from_rotvec([np.pi, 0.0, 0.0]) * Rotation.from_rotvec(
+            [*rng.normal(0.0, 0.15, 2), 0.0]
+        )
+        pose = make_transform(turn.as_matrix(), [0.1, -0.1, 2.0])
+        true = transform_points(pose, square)
+        pixels = CAMERA.project(true) + rng.normal(0.0, 0.3, (4, 2))
+        tags = Tags(np.zeros(1, np.int64), pixels[None], np.tile(0.09 * np.eye(2), (1, 4, 1, 1)))
+        refused += isinstance(detector.locate(tags, dim), TargetRefusal)
+        placed = detector.place(tags, dim)
+        assert placed is not None
+        blocks = placed[1].reshape(4, 3, 4, 3)[range(4), :, range(4)]
+        off = placed[0] - true
+        values.append(np.mean([squared_distance(*one) for one in zip(off, blocks, strict=True)]))
+    assert refused > 40
+    assert 0.6 < np.mean(values) / 3.0 < 1.5
 
 
 POINTS = np.random.default_rng(1).uniform([1.0, -2.0, -1.0], [3.0, 2.0, 1.0], (12, 3))

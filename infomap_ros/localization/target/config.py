@@ -12,6 +12,7 @@ from infomap_ros.errors import ConfigError
 from infomap_ros.geometry import invert_transform, make_transform
 from infomap_ros.geometry.config import check_config, parameter
 from infomap_ros.geometry.transforms import FloatArray
+from infomap_ros.localization.target.tag_board import TagBoard
 from infomap_ros.localization.target.tag_detector import TagTargetConfig, TagTargetDetector
 from infomap_ros.localization.target.target import TargetDetector, TargetRefusal, TargetSighting
 
@@ -75,10 +76,14 @@ class PlacedTarget:
     Args:
         detector: finds the target.
         T_map_target: where it is in the map, shape (4, 4).
+
+    Attributes:
+        board: where the tags are in the map, if the target is a board.
     """
 
     def __init__(self, detector: TargetDetector, T_map_target: FloatArray) -> None:
-        self._detector, self.board = detector, getattr(detector, "board", None)
+        board: TagBoard | None = getattr(detector, "board", None)
+        self._detector, self.board = detector, board and board.in_frame(T_map_target)
         self._T_target_map = invert_transform(T_map_target)
 
     def detect(self, view: RangeView) -> TargetSighting | TargetRefusal:

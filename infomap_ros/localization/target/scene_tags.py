@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from infomap_ros.geometry import transform_points
 from infomap_ros.geometry.config import check_config, setting
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.localization.fiducials.observations import FiducialObservations
@@ -16,8 +15,6 @@ from infomap_ros.localization.fiducials.range_view import RangeView
 from infomap_ros.localization.target.tag_board import FAMILIES, TagBoard, TagBoardConfig
 from infomap_ros.localization.target.tag_detection import TagFinder, Tags
 from infomap_ros.localization.target.tag_detector import TagTargetConfig, TagTargetDetector
-from infomap_ros.localization.target.tag_pose import point_jacobian
-from infomap_ros.localization.target.target import TargetSighting
 
 
 @dataclass(frozen=True)
@@ -42,7 +39,8 @@ class SceneTags:
 
     Args:
         config: which tags.
-        target: whose tags are not of the scene; None where there is none.
+        target: in the map, whose tags of the same family are landmarks at places that are given;
+            None where there is none.
     """
 
     def __init__(self, config: SceneTagsConfig, target: TagBoard | None = None) -> None:
@@ -50,7 +48,7 @@ class SceneTags:
         is_used = config.family != "none"
         self._finder = TagFinder(config.family) if is_used else None
         own = target is not None and target.config.family == config.family
-        self._of_target = target.ids if target is not None and own else ()
+        self._target = target if own else None
         none = Tags(np.zeros(0, np.int64), np.zeros((0, 4, 2)), np.zeros((0, 4, 2, 2)))
         self._last = -(2**62), none  # stamp of the view that they are from
 
@@ -64,8 +62,8 @@ class SceneTags:
 
     def unknown(
         self, view: RangeView, known: NDArray[np.int64]
-    ) -> Iterator[tuple[NDArray[np.int64], FloatArray, FloatArray]]:
-        """Where tags of a view are, as size and range tell it, of which no corner is known.
+    ) -> Iterator[tuple[NDArray[np.int64], FloatArray, FloatArray, bool]]:
+        """Where tags of a view are of which no corner is known, as size and range tell it.
 
         Args:
             view: in which they are.
@@ -73,26 +71,28 @@ class SceneTags:
 
         Yields:
             Of each the ids of its corners, shape (4,), the corners in the camera frame, shape
-            (4, 3) [m], and their covariance, shape (12, 12) [m^2].
+            (4, 3) [m], their covariance, shape (12, 12) [m^2], and False. Of tags of the target the
+            corners in the map, which have no error, and True.
         """
         tags = self._find(view)
         for one in tags.ids.tolist():
             ids = _corner_ids(np.array([one]))
             if np.isin(ids, known).any():
                 continue
+            if self._target is not None and one in self._target.ids:
+                corners = self._target.corners[self._target.ids.index(one)]
+                yield ids, corners, np.zeros((12, 12)), True
+                continue
             family, side = self._config.family, self._config.side
             board = TagBoardConfig(family, side, 1, 1, first_id=one, mounting="flat")
             detector = TagTargetDetector(TagTargetConfig(board))
-            seen = detector.locate(tags.select(tags.ids == one), view)
-            if isinstance(seen, TargetSighting):
-                pose, corners = seen.T_camera_target, detector.board.corners[0]
-                turn = point_jacobian(corners, pose).reshape(12, 6)
-                yield ids, transform_points(pose, corners), turn @ seen.covariance @ turn.T
+            placed = detector.place(tags.select(tags.ids == one), view)
+            if placed is not None:
+                yield ids, *placed, False
 
     def _find(self, view: RangeView) -> Tags:
         if self._finder is not None and self._last[0] != view.stamp:
-            found = self._finder.look(view)
-            self._last = view.stamp, found.select(~np.isin(found.ids, self._of_target))
+            self._last = view.stamp, self._finder.look(view)
         return self._last[1]
 
 

@@ -9,7 +9,7 @@ A board of tags as an image, for printing and for simulated worlds.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -155,6 +155,13 @@ class TagBoard:
         up = -(np.arange(config.rows) - 0.5 * (config.rows - 1)) * pitch
         middles = [(x, y, 0.0) for y in up for x in right]
         return np.stack([self.T_target_board @ make_transform(np.eye(3), m) for m in middles])
+
+    def in_frame(self, T_frame_target: FloatArray) -> TagBoard:
+        """The same tags as a board whose target frame is another one, shape (4, 4)."""
+        poses = T_frame_target @ self.tag_poses
+        turns = Rotation.from_matrix(poses[:, :3, :3]).as_rotvec()
+        numbers = tuple(np.hstack([poses[:, :3, 3], turns]).ravel().tolist())
+        return TagBoard(replace(self.config, ids=self.ids, poses=numbers))
 
     @cached_property
     def corners(self) -> FloatArray:

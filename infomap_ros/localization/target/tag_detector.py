@@ -7,7 +7,7 @@ corners and inverse depths; the decision between the two poses of a plane; check
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +26,7 @@ from infomap_ros.localization.target.tag_pose import (
     initial_poses,
     no_ranges,
     pixel_residuals,
+    point_jacobian,
     whitening_of,
 )
 from infomap_ros.localization.target.target import RefusalReason, TargetRefusal, TargetSighting
@@ -63,6 +64,20 @@ class TagTargetConfig:
         check_config(self)
 
 
+class _Fits(NamedTuple):
+    """Poses that explain a view, the best first; see `TagTargetDetector`.
+
+    Attributes:
+        poses: at least one.
+        inflation: of their covariances, by how badly the best fits.
+        share: of the tags that agree.
+    """
+
+    poses: list[PoseFit]
+    inflation: float
+    share: float
+
+
 class TagTargetDetector:
     """Finds a board of tags; see `target.TargetDetector`.
 
@@ -93,6 +108,39 @@ class TagTargetDetector:
             tags: those of this board only.
             view: the view in which they were found.
         """
+        fits = self._fits(tags, view)
+        return fits if isinstance(fits, TargetRefusal) else self._decide(fits)
+
+    def place(self, tags: Tags, view: RangeView) -> tuple[FloatArray, FloatArray] | None:
+        """Where all corners of the board are, also where the two poses of a plane explain the view.
+
+        Args:
+            tags: those of this board only.
+            view: the view in which they were found.
+
+        Returns:
+            Mean and covariance of the corners in the camera frame over the poses by how well they
+            fit, shape (N, 3) [m] and (3N, 3N) [m^2]; None where no pose fits.
+        """
+        fits = self._fits(tags, view)
+        if isinstance(fits, TargetRefusal) or self._contradicts_range(fits.poses[0]):
+            return None
+        corners = self.board.corners.reshape(-1, 3)
+        worse = np.array([fit.cost - fits.poses[0].cost for fit in fits.poses])
+        weights = np.exp(-0.5 * worse / fits.inflation)
+        weights /= weights.sum()
+        places = np.array([transform_points(fit.T_camera_target, corners) for fit in fits.poses])
+        mean = np.tensordot(weights, places, 1)
+        covariance = np.zeros((corners.size, corners.size))
+        for weight, place, fit in zip(weights, places, fits.poses, strict=True):
+            over = point_jacobian(corners, fit.T_camera_target).reshape(-1, 6)
+            apart = (place - mean).ravel()
+            own = fits.inflation * over @ fit.covariance @ over.T
+            covariance += weight * (own + np.outer(apart, apart))
+        return mean, covariance
+
+    def _fits(self, tags: Tags, view: RangeView) -> _Fits | TargetRefusal:
+        """The poses that explain a view, or why there are none."""
         camera = view.camera
         if not len(tags.ids):
             return _refuse("not in view", f"0 of {len(self.board.ids)} tags found")
@@ -107,8 +155,9 @@ class TagTargetDetector:
         found = [fit for fit in fits if fit is not None]
         if not found:
             return _refuse("inconsistent", "no pose fits")
-        share = float(agreeing.sum()) / len(tags.ids)
-        return self._decide(sorted(found, key=lambda fit: fit.cost), len(known.points), share)
+        poses = sorted(found, key=lambda fit: fit.cost)
+        inflation = max(1.0, poses[0].pixel_cost / max(2 * len(known.points) - 6, 1))
+        return _Fits(poses, inflation, float(agreeing.sum()) / len(tags.ids))
 
     def _known(self, tags: Tags) -> KnownPoints:
         places = [self.board.ids.index(int(one)) for one in tags.ids]
@@ -172,19 +221,18 @@ class TagTargetDetector:
         scale_sigma = self.config.range_scale_sigma
         return KnownRanges(np.concatenate(points)[good], rho[good], sigma[good], scale_sigma)
 
-    def _decide(
-        self, fits: list[PoseFit], corners: int, share: float
-    ) -> TargetSighting | TargetRefusal:
-        config, best = self.config, fits[0]
-        freedom = max(2 * corners - 6, 1)
-        inflation = max(1.0, best.pixel_cost / freedom)
-        covariance = best.covariance * inflation
-        if abs(best.scale) > 4.0 * config.range_scale_sigma:
+    def _contradicts_range(self, fit: PoseFit) -> bool:
+        return abs(fit.scale) > 4.0 * self.config.range_scale_sigma
+
+    def _decide(self, fits: _Fits) -> TargetSighting | TargetRefusal:
+        config, best = self.config, fits.poses[0]
+        covariance = best.covariance * fits.inflation
+        if self._contradicts_range(best):
             text = f"by {100.0 * best.scale:.1f} %: is the tag's side right?"
             return _refuse("range contradicts size", text)
-        for other in fits[1:]:
+        for other in fits.poses[1:]:
             apart = _difference(best.T_camera_target, other.T_camera_target)
-            worse = (other.cost - best.cost) / inflation
+            worse = (other.cost - best.cost) / fits.inflation
             if worse < config.ambiguity_cost:
                 if np.linalg.norm(apart[3:]) > 2.0 * config.max_rotation_sigma:
                     angle = np.degrees(np.linalg.norm(apart[3:]))
@@ -195,7 +243,7 @@ class TagTargetDetector:
         sigma = float(np.sqrt(np.linalg.eigvalsh(covariance[3:, 3:])[-1]))
         if sigma > config.max_rotation_sigma:
             return _refuse("too uncertain", f"rotation sigma {sigma:.3f} rad")
-        return TargetSighting(best.T_camera_target, covariance, share, _NAME)
+        return TargetSighting(best.T_camera_target, covariance, fits.share, _NAME)
 
 
 def own_tags(tags: Tags, board: TagBoard) -> Tags:

@@ -20,6 +20,7 @@ _LONGEST_GAP = 100_000_000  # [ns] between two samples across which a turn is kn
 _SILENT = 500_000_000  # [ns] after which a sensor that tells nothing is not waited for
 _JUMP = 1_000_000_000  # [ns] back: an older sample is late and left out
 _KEPT = 20_000  # samples: 20 s at 1 kHz
+_FASTEST = 100.0  # [rad/s]; gyroscopes end at a third of it, so more is no measurement
 _LEVELLING = 1_000_000_000  # [ns] over which accelerations are averaged
 _GRAVITY = (5.0, 15.0)  # [m/s^2] between which an acceleration is taken for mostly gravity
 
@@ -88,6 +89,8 @@ class InertialSensor:
     def _take(self, sample: ImuRecord) -> None:
         newest = self._stamps[-1] if self._stamps else -(2**62)
         if sample.frame_id == self._frame and newest - _JUMP < sample.stamp <= newest:
+            return
+        if not np.abs(sample.angular_velocity).max() < _FASTEST:
             return
         if sample.frame_id != self._frame or not 0 < sample.stamp - newest <= _LONGEST_GAP:
             self._forget()

@@ -112,6 +112,10 @@ def test_without_its_place_on_the_camera_a_sensor_does_not_count() -> None:
         pytest.param(lambda stamp: sample(stamp + 3_600_000 * MS), id="an hour ahead"),
         pytest.param(lambda stamp: sample(stamp - 3_600_000 * MS), id="an hour back"),
         pytest.param(lambda stamp: sample(stamp, "other"), id="another sensor"),
+        pytest.param(
+            lambda stamp: ImuRecord(stamp + 2 * MS, "imu", np.array([1e308, -1e308, 0.0]), None),
+            id="no measurement",
+        ),
     ],
 )
 def test_one_odd_sample_costs_at_most_the_turn_across_it(odd) -> None:

@@ -73,8 +73,9 @@ class LocalizerConfig:
         high=100.0,
     )
     max_coasting: float = parameter(
-        5.0,
-        "The camera is lost when its pose rests on the expected motion alone for longer.",
+        60.0,
+        "The camera is lost when its pose rests on the expected motion alone for longer, not "
+        "counted while odometry and joints stand still.",
         unit="s",
         low=0.0,
         high=3600.0,

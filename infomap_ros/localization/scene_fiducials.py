@@ -161,7 +161,7 @@ class SceneFiducials:
             seen: in the new view.
             prior: of the motion, None where nothing is expected.
         """
-        if prior is not None and _is_motion(prior):
+        if prior is not None and is_motion(prior):
             return False
         shifts = [
             np.abs(pixel - self._at_update[number]).max()
@@ -312,7 +312,8 @@ def joined(first: FiducialObservations, second: FiducialObservations) -> Fiducia
     )
 
 
-def _is_motion(prior: MotionPrior) -> bool:
+def is_motion(prior: MotionPrior) -> bool:
+    """Whether more is expected than the noise of encoders at rest."""
     turn = Rotation.from_matrix(prior.T_before_after[:3, :3]).magnitude()
     distance = np.linalg.norm(prior.T_before_after[:3, 3])
     return bool(distance > _EXPECTED_DISTANCE or turn > _EXPECTED_TURN)

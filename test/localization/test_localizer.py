@@ -44,6 +44,15 @@ def follow(localizer: Localizer, poses: list[np.ndarray], first: int = 1) -> lis
     ]
 
 
+def move_blindly(localizer: Localizer, first: int, *, has_odometry: bool) -> None:
+    """Back and forth through darkness, by odometry that is good, until the camera is lost."""
+    for i in range(8):
+        step = make_transform(np.eye(3), [0.004 * (-1) ** i, 0.0, 0.0])
+        motion = MotionPrior(step, 1e-6 * np.eye(6)) if has_odometry else None
+        result = localizer.locate(dark((first + i) * STEP), motion)
+    assert result.state == "lost"
+
+
 def check(result: LocalizedCamera, true: np.ndarray, position: float = 0.01) -> None:
     """The pose is near the truth, and as near as it says (99.99 %)."""
     assert result.T_map_camera is not None and result.covariance is not None
@@ -121,14 +130,24 @@ def test_where_odometry_says_it_cannot_be_a_camera_is_found_by_many_fiducials_al
     prior = rest if has_odometry else None
     localizer = Localizer(CAMERA, LocalizerConfig(max_coasting=0.5), T_map_camera=poses[0])
     follow(localizer, poses)
-    blind = [localizer.locate(dark((21 + i) * STEP), prior) for i in range(7)]
-    assert blind[-1].state == "lost"
+    move_blindly(localizer, 21, has_odometry=has_odometry)
     seen = view(40 * STEP, poses[8])
     seen.image[:, int(share * CAMERA.width) :] = 0
     result = localizer.locate(seen, prior)
     assert result.state == ("tracking" if is_found else "lost")
     if is_found:
         check(result, poses[8], 0.02)
+
+
+def test_a_robot_that_stands_may_look_at_the_sky_for_as_long_as_it_likes():
+    poses, rest = along(8), MotionPrior(np.eye(4), 1e-10 * np.eye(6))
+    localizer = Localizer(CAMERA, LocalizerConfig(max_coasting=0.5), T_map_camera=poses[0])
+    follow(localizer, poses)
+    states = {localizer.locate(dark((9 + i) * STEP), rest).state for i in range(30)}
+    assert states == {"coasting"}
+    result = localizer.locate(view(40 * STEP, poses[-1]), rest)
+    assert result.state == "tracking"
+    check(result, poses[-1])
 
 
 def test_a_camera_that_was_carried_to_an_unknown_place_stays_lost():
@@ -212,8 +231,7 @@ def test_before_a_wall_that_repeats_itself_a_lost_camera_is_found_where_odometry
     poses, rest = along(12), MotionPrior(np.eye(4), 1e-6 * np.eye(6))
     localizer = Localizer(CAMERA, LocalizerConfig(max_coasting=0.5), T_map_camera=poses[0])
     follow(localizer, poses)
-    blind = [localizer.locate(dark((13 + i) * STEP), rest) for i in range(7)]
-    assert blind[-1].state == "lost"
+    move_blindly(localizer, 13, has_odometry=True)
     result = localizer.locate(view(30 * STEP, poses[-1], seed=30), rest)
     assert result.state == "tracking"
     check(result, poses[-1], 0.02)

@@ -112,12 +112,9 @@ than a millimeter off: there the defaults are right.
 """
 
 
-def _with_kinematics() -> LocalizerConfig:
-    """Odometry and joints tell the motion well enough to look at the sky for a while.
-
-    The simulated camera is exactly as its calibration says.
-    """
-    return LocalizerConfig(max_coasting=60.0, calibration=CalibrationConfig(0.0, 0.0, 0.0))
+def _exactly_calibrated() -> LocalizerConfig:
+    """The simulated camera is exactly as its calibration says."""
+    return LocalizerConfig(calibration=CalibrationConfig(0.0, 0.0, 0.0))
 
 
 @dataclass(frozen=True)
@@ -126,7 +123,7 @@ class SimulatedLocalizationConfig:
 
     target: TargetConfig = field(default_factory=_board_of_the_worlds)
     motion: DeadReckoningConfig = field(default_factory=DeadReckoningConfig)
-    localizer: LocalizerConfig = field(default_factory=_with_kinematics)
+    localizer: LocalizerConfig = field(default_factory=_exactly_calibrated)
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ from infomap_ros.motion.base.drive_space import BasePath
 from infomap_ros.motion.base.path_following import drive_seconds
 from infomap_ros.motion.collision.checker import NearSpace
 from infomap_ros.motion.route import ArmPath, ReachResult, Route
-from infomap_ros.motion.whole_body import ReachingConfig, WholeBody
+from infomap_ros.motion.whole_body import SAME_POSTURE, ReachingConfig, WholeBody
 
 _SAME = 0.05  # [rad or m]; by which an arm may be off from its path
 _MOVED = 0.1  # [m]; by which a base that stands may seem to move
@@ -123,7 +123,6 @@ _NEAREST_TRIED = 6  # postures near a view to which a path is sought
 _ALIKE = 0.3  # [rad or m]; where no path leads to a posture, none leads to one so near to it
 _SEES_ITSELF = "the robot itself covers too much of the image"
 _OUT_OF_REACH = "the arm does not reach it from where the base stands"
-_THERE = 1e-6  # [rad or m]
 _BESIDE = 0.003  # [rad or m] beside where the arm has been: as good as there
 
 
@@ -248,14 +247,16 @@ class RoutePlanner:
         """
         if len(path.poses) < 2 and not path.complete:
             return ReachResult(f"base path: {path.reason}")
-        end = path.T_map_base[-1]
+        before, end = self._folding, path.T_map_base[-1]
+        if not before.converged:
+            return ReachResult(f"arm at the beginning of the base path: {before.reason}")
         after = self.arm(self.whole.driving, q, end, quick=not path.complete)
         if not after.converged and path.complete:
             return ReachResult(f"arm at the end of the base path: {after.reason}")
         if not after.converged:
             after = ArmPath.staying(self.whole.chain.joint_names, self.whole.driving)
         camera = end @ self.whole.chain.camera_pose(after.positions[-1])
-        before, partial = self._folding, not path.complete
+        partial = not path.complete
         route = Route(before, path.poses, path.T_map_base, after, camera, partial)
         reason = "" if path.complete else f"base path: {path.reason}"
         travel = before.joint_travel + after.joint_travel
@@ -309,7 +310,7 @@ class RoutePlanner:
     def _back_and_on(self, goal: FloatArray, direct: ArmPath) -> ArmPath:
         """Back along the trail, to the goal if that is on it, else on from one of its corners."""
         back = self.trail.back()
-        on_it = np.flatnonzero(np.abs(back - goal).max(axis=1, initial=0.0) <= _THERE)
+        on_it = np.flatnonzero(np.abs(back - goal).max(axis=1, initial=0.0) <= SAME_POSTURE)
         if len(on_it):
             return self._timed_back(back[: on_it[0] + 1])
         base = self.trail.T_map_base

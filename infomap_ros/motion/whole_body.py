@@ -139,7 +139,7 @@ class ReachingConfig:
 
 _ROUNDING = 2  # decimals of the positions of joints that are not the arm's
 _COMPACT = 40  # postures
-_SAME = 1e-3  # [rad or m]
+SAME_POSTURE = 1e-3  # [rad or m]
 _SPARE = 0.1  # [m]; beyond the farthest sampled point of the body
 
 
@@ -193,7 +193,7 @@ class WholeBody:
 
     def driving_in(self, q: FloatArray) -> WholeBody:
         """The same robot, which drives in another posture, shape (n,), with its footprint."""
-        if np.abs(q - self.driving).max(initial=0.0) < _SAME:
+        if np.abs(q - self.driving).max(initial=0.0) < SAME_POSTURE:
             return self
         return _driving_in(self, tuple(q.tolist()))
 

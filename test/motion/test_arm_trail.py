@@ -109,3 +109,21 @@ def test_arm_folds_the_way_it_came_where_the_map_has_closed_around_it() -> None:
     np.testing.assert_allclose(
         corners_of(back), corners_of(sent.arm_after.positions)[::-1], atol=1e-9
     )
+
+
+def test_who_stands_folded_as_exactly_as_encoders_tell_may_drive_whatever_the_map_says() -> None:
+    """A few voxels at the camera say that the posture to drive in touches something."""
+    joints = {joint.name: 0.0 for joint in ROBOT.joints}
+    open_map = map_where(lambda x, y, z: z < 0.0, lambda x, y, z: z < 9.0)
+    folded = WholeBodyReach(ROBOT, open_map, BASE, joints)._whole.driving
+    camera = (BASE @ ROBOT.arm.camera_pose(folded))[:3, 3]
+
+    def solid(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
+        return (z < 0.0) | (np.abs(np.stack([x, y, z], -1) - camera).max(-1) < 0.1)
+
+    spotted = map_where(solid, lambda x, y, z: z < 9.0)
+    standing = joints | ROBOT.arm.by_name(folded + 5e-4)
+    reach = WholeBodyReach(ROBOT, spotted, BASE, standing)
+    assert not reach._routes.arm(folded + 0.1, folded, BASE).converged
+    folding = reach._routes._folding
+    assert folding.converged and not folding.moves

@@ -61,7 +61,7 @@ def single_users() -> list[str]:
         (
             "lines that a robot installs",
             sum(LINES[name] for name in NAMES if room_of(name) not in NOT_ON_A_ROBOT),
-            86_120,  # 390 IMU, 590 frames apart, 435 changes, 165 sensors, 445 octrees, distances
+            86_160,  # 390 IMU, 590 frames apart, 435 changes, 165 sensors, 445 octrees, distances
         ),
         ("modules", len(MODULES), 480),
         ("short modules with one user in their folder", len(single_users()), 2),
@@ -77,12 +77,12 @@ MOST_LINES = {
     "map_fusion": 30_600,
     "bag_player": 9_130,
     "simulator": 29_890,
-    "next_best_view": 46_830,
-    "explorer": 42_190,
-    "fiducial_localization": 38_590,
-    "dead_reckoning": 11_930,
-    "robot_driver": 13_590,
-    "web_viewer": 32_610,
+    "next_best_view": 46_860,
+    "explorer": 42_220,
+    "fiducial_localization": 38_630,
+    "dead_reckoning": 11_960,
+    "robot_driver": 13_620,
+    "web_viewer": 32_640,
 }
 """Of what importing a node's module imports; to be lowered with each of them."""
 

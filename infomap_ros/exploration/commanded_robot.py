@@ -31,7 +31,8 @@ class CommandedRobotConfig:
     progress_timeout: float = parameter(
         15.0,
         "A motion has failed when nothing has moved for so long, and a look when no scan has been "
-        "fused for so long. A motion may take as long as it likes while it goes on.",
+        "fused for so long, by the robot's time where a simulator is slow. A motion may take as "
+        "long as it likes while it goes on.",
         unit="s",
         low=0.5,
         high=600.0,

@@ -39,6 +39,36 @@ _MOST_UNNAMED = 10  # poses and origins that wait for each other
 _PARTS = "camera_pose_uncertainty"  # names the origin of the map that a pose is in
 
 
+class Patience:
+    """A time limit that counts the robot's time where that goes slower than the clock.
+
+    A simulator that a busy machine slows down makes an image in the time of ten: what it is waited
+    for comes all the same. Where odometry stands still or jumps back, the clock alone counts.
+
+    Args:
+        timeout: [s].
+        stamp: of the newest odometry [ns]; negative before any has come.
+        now: [s] of a clock that nobody sets.
+    """
+
+    def __init__(self, timeout: float, stamp: int, now: float) -> None:
+        self._timeout, self._has_jumped = timeout, False
+        self._begin, self._first = now, stamp
+        self._changed, self._newest = now, stamp
+
+    def is_over(self, stamp: int, now: float) -> bool:
+        """Whether the time is over, by the newest odometry [ns] and the clock [s]."""
+        self._has_jumped |= stamp < self._newest
+        if self._first < 0:
+            self._first = stamp
+        if stamp != self._newest:
+            self._changed, self._newest = now, stamp
+        if now - self._begin <= self._timeout:
+            return False
+        is_moving_on = now - self._changed <= self._timeout
+        return self._has_jumped or not is_moving_on or 1e-9 * (stamp - self._first) > self._timeout
+
+
 @dataclass(frozen=True)
 class RobotTrackerConfig:
     """How the robot's frames are called.
@@ -261,7 +291,7 @@ class RobotTracker:
 
         Args:
             condition: looked at whenever something has changed, and ten times a second.
-            timeout: [s].
+            timeout: [s], see `Patience`.
             interrupted: breaks the waiting off.
 
         Returns:
@@ -269,9 +299,9 @@ class RobotTracker:
         """
         if self._lockstep is not None:
             return self._lockstep.wait_until(condition, timeout, interrupted)
-        end = time.monotonic() + timeout
+        patience = Patience(timeout, self.newest_odometry, time.monotonic())
         while not condition():
-            if interrupted() or time.monotonic() > end:
+            if interrupted() or patience.is_over(self.newest_odometry, time.monotonic()):
                 return False
             with self._changed:
                 self._changed.wait(0.1)

@@ -32,7 +32,8 @@ def find_share(relative: str | os.PathLike[str]) -> Path:
     """
     wanted = Path(relative)
     if wanted.is_absolute():
-        raise ResourceError(f"there is no file {wanted}")
+        known = "is absolute, expected a path below share/infomap_ros"
+        raise ResourceError(f"{wanted} {known if wanted.exists() else 'is not there'}")
     folders = list(dict.fromkeys(_share_folders()))
     for folder in folders:
         if (folder / wanted).exists():

@@ -39,7 +39,7 @@ _MOST_UNNAMED = 10  # poses and origins that wait for each other
 _PARTS = "camera_pose_uncertainty"  # names the origin of the map that a pose is in
 
 
-class Patience:
+class RobotTimeout:
     """A time limit that counts the robot's time where that goes slower than the clock.
 
     A simulator that a busy machine slows down makes an image in the time of ten: what it is waited
@@ -291,7 +291,7 @@ class RobotTracker:
 
         Args:
             condition: looked at whenever something has changed, and ten times a second.
-            timeout: [s], see `Patience`.
+            timeout: [s], see `RobotTimeout`.
             interrupted: breaks the waiting off.
 
         Returns:
@@ -299,9 +299,9 @@ class RobotTracker:
         """
         if self._lockstep is not None:
             return self._lockstep.wait_until(condition, timeout, interrupted)
-        patience = Patience(timeout, self.newest_odometry, time.monotonic())
+        limit = RobotTimeout(timeout, self.newest_odometry, time.monotonic())
         while not condition():
-            if interrupted() or patience.is_over(self.newest_odometry, time.monotonic()):
+            if interrupted() or limit.is_over(self.newest_odometry, time.monotonic()):
                 return False
             with self._changed:
                 self._changed.wait(0.1)

@@ -6,16 +6,16 @@ from collections.abc import Callable
 
 import pytest
 
-from infomap_ros.nodes.robot.robot_tracker import Patience
+from infomap_ros.nodes.robot.robot_tracker import RobotTimeout
 
 SECOND = 1_000_000_000
 
 
 def ends(stamp_at: Callable[[float], int], timeout: float = 15.0) -> float:
     """When a wait that begins at 100 s is given up, looked at ten times a second [s]."""
-    patience = Patience(timeout, stamp_at(0.0), 100.0)
+    limit = RobotTimeout(timeout, stamp_at(0.0), 100.0)
     for tenth in range(10_000):
-        if patience.is_over(stamp_at(0.1 * tenth), 100.0 + 0.1 * tenth):
+        if limit.is_over(stamp_at(0.1 * tenth), 100.0 + 0.1 * tenth):
             return 0.1 * tenth
     raise AssertionError("was never given up")
 
@@ -51,5 +51,5 @@ def test_odometry_that_falls_silent_is_waited_for_as_long_as_without() -> None:
 
 
 def test_who_waits_for_ever_does() -> None:
-    patience = Patience(float("inf"), 0, 0.0)
-    assert not patience.is_over(10**18, 1e9)
+    limit = RobotTimeout(float("inf"), 0, 0.0)
+    assert not limit.is_over(10**18, 1e9)

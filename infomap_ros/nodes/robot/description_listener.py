@@ -146,6 +146,8 @@ class DescriptionListener:
 
     def _look(self) -> None:
         """See whether tf has another one, at most once a second: publishers may differ."""
+        for child, *_ in self._sent or ():
+            self.frames.use(child)
         if time.monotonic() >= self._next:
             self._notify()
 
@@ -155,8 +157,6 @@ class DescriptionListener:
             return
         edges = self.frames.static
         chain = [e for frame in sorted(self._wanted) for e in _chain(frame, edges, self._links)]
-        for edge in chain:
-            self.frames.keep(edge)
         before = self._sent
         self._sent = [(e.child_frame_id, e.frame_id, e.transform.tobytes()) for e in chain]
         if self._sent != before:

@@ -71,13 +71,14 @@ class FrameListener:
             raise MalformedMessageError(TF, text)
         for edge in edges:
             if edge.is_static:
-                self.keep(edge)
+                self.static[edge.child_frame_id] = edge
+                self.use(edge.child_frame_id)
             self._on_edge(edge)
 
-    def keep(self, edge: TransformRecord) -> None:
-        """Note that a fixed transform has come, or is used."""
-        self.static[edge.child_frame_id] = edge
-        self.static.move_to_end(edge.child_frame_id)
+    def use(self, child: str) -> None:
+        """Note that the fixed transform of a frame is of use: that of the longest unused goes."""
+        if child in self.static:
+            self.static.move_to_end(child)
         if len(self.static) > MOST_FRAMES:
             self.static.popitem(last=False)
 

@@ -27,8 +27,7 @@ def find_share(relative: str | os.PathLike[str]) -> Path:
         Absolute path that exists.
 
     Raises:
-        ResourceError: it is in none of the places, and names them all; or it is absolute, so not of
-            the package.
+        ResourceError: it is absolute, or in none of the places; names them all.
     """
     wanted = Path(relative)
     if wanted.is_absolute():

@@ -32,7 +32,7 @@ from infomap_ros.localization.filter.motion_prior import MotionPrior
 from infomap_ros.localization.localized_camera import Choice, LocalizedCamera, State
 from infomap_ros.localization.localizer_config import LocalizerConfig
 from infomap_ros.localization.recovery import Recovery
-from infomap_ros.localization.scene_fiducials import SceneFiducials, is_motion
+from infomap_ros.localization.scene_fiducials import SceneFiducials
 from infomap_ros.localization.target.scene_tags import SceneTags
 from infomap_ros.localization.target.target import TargetDetector
 from infomap_ros.localization.target.watch import MAX_ROTATION_SIGMA, TargetWatch, is_certain, moved
@@ -253,7 +253,7 @@ class Localizer(KnownMap):
         sighted = self._watch.correct(view, self._filter, tracked > 0)
         if sighted == "contradicted":
             return self._initialize(view, chosen)
-        if prior is not None and not is_motion(prior):
+        if prior is not None and prior.is_rest:
             self._fixed += view.stamp - self._stamp  # a robot that stands is where it was
         self._judge(view, seen, tracked > 0 or sighted == "corrected")
         self._note_step(view, before, tracked > 0)

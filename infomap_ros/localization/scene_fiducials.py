@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from infomap_ros.geometry import (
     PinholeCamera,
@@ -36,7 +35,6 @@ from infomap_ros.mapping.scans.body import body_mask
 _SEEN_THROUGH = 3  # contradictions in a row after which a fiducial is given up
 _SAME_RANGE = 0.1  # share by which something that hides a fiducial is nearer
 _STILL = 0.3  # [px]
-_EXPECTED_DISTANCE, _EXPECTED_TURN = 0.003, 0.003  # [m, rad] below which no motion is expected
 _BORDER = 12.0  # [px] within which a fiducial need not be seen
 
 
@@ -161,7 +159,7 @@ class SceneFiducials:
             seen: in the new view.
             prior: of the motion, None where nothing is expected.
         """
-        if prior is not None and is_motion(prior):
+        if prior is not None and not prior.is_rest:
             return False
         shifts = [
             np.abs(pixel - self._at_update[number]).max()
@@ -310,10 +308,3 @@ def joined(first: FiducialObservations, second: FiducialObservations) -> Fiducia
     return FiducialObservations(
         *(np.concatenate([getattr(first, name), getattr(second, name)]) for name in names)
     )
-
-
-def is_motion(prior: MotionPrior) -> bool:
-    """Whether more is expected than the noise of encoders at rest."""
-    turn = Rotation.from_matrix(prior.T_before_after[:3, :3]).magnitude()
-    distance = np.linalg.norm(prior.T_before_after[:3, 3])
-    return bool(distance > _EXPECTED_DISTANCE or turn > _EXPECTED_TURN)

@@ -113,14 +113,13 @@ def decode_imu(message: object) -> ImuRecord:
         MalformedMessageError: an angular velocity is not finite, or it says that it has none.
     """
     fields = MessageFields(message, IMU)
-    stamp, frame_id = fields.header()
     if fields.numbers("angular_velocity_covariance", size=9)[0] == ABSENT:
         fields.fail("has no angular velocity")
     acceleration = None
     if fields.numbers("linear_acceleration_covariance", size=9)[0] != ABSENT:
         with suppress(MalformedMessageError):  # NaN, where there is no accelerometer
             acceleration = _vector(fields.child("linear_acceleration"))
-    return ImuRecord(stamp, frame_id, _vector(fields.child("angular_velocity")), acceleration)
+    return ImuRecord(*fields.header(), _vector(fields.child("angular_velocity")), acceleration)
 
 
 def decode_transforms(message: object, is_static: bool = False) -> tuple[TransformRecord, ...]:

@@ -111,6 +111,7 @@ class ViewInputs:
             self._motion = PostureListener(
                 node, self._on_motion, required=is_required, on_edge=self._inertial.add
             )
+        if config.motion == "auto":
             node.listen(Imu, "imu", self._on_imu, qos.sensor_data(1000), required=False)
         self._views: ViewSynchronizer[ImageSet] = ViewSynchronizer(
             self._motion,

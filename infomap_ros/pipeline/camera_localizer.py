@@ -239,9 +239,8 @@ class CameraLocalizer:
 
         An inertial sensor tells what is level, or it is assumed.
         """
-        start, covariance = looking_along_x(self._config.start_tilt), _LEAST_SIGMA**2 * np.eye(6)
-        if up is not None:
-            start = level_by(up)
+        start = looking_along_x(self._config.start_tilt) if up is None else level_by(up)
+        covariance = _LEAST_SIGMA**2 * np.eye(6)
         if posture is not None:
             start = posture.T_odom_camera
             covariance = self._config.motion.config.kinematics_covariance()

@@ -15,10 +15,10 @@ from infomap_ros.geometry.pose_buffer import TransformTree
 from infomap_ros.geometry.records import ImuRecord
 from infomap_ros.geometry.transforms import FloatArray
 from infomap_ros.localization.filter.lie import exponential
+from infomap_ros.pipeline.clock_jumps import CLOCK_JUMP
 
 _LONGEST_GAP = 100_000_000  # [ns] between two samples across which a turn is known
 _SILENT = 500_000_000  # [ns] after which a sensor that tells nothing is not waited for
-_JUMP = 1_000_000_000  # [ns] back: an older sample is late and left out
 _KEPT = 20_000  # samples: 20 s at 1 kHz
 _FASTEST = 100.0  # [rad/s]; gyroscopes end at a third of it, so more is no measurement
 _LEVELLING = 1_000_000_000  # [ns] over which accelerations are averaged
@@ -88,7 +88,7 @@ class InertialSensor:
 
     def _take(self, sample: ImuRecord) -> None:
         newest = self._stamps[-1] if self._stamps else -(2**62)
-        if sample.frame_id == self._frame and newest - _JUMP < sample.stamp <= newest:
+        if sample.frame_id == self._frame and newest - CLOCK_JUMP < sample.stamp <= newest:
             return
         if not np.abs(sample.angular_velocity).max() < _FASTEST:
             return
@@ -111,26 +111,27 @@ class InertialSensor:
             while self._accelerations[0][0] < sample.stamp - _LEVELLING:
                 self._accelerations.popleft()
 
-    def at(self, stamp: int) -> InertialReading | None:
-        """What is known at a time; None where the sensor does not tell.
-
-        Args:
-            stamp: [ns].
+    def knows(self, stamp: int) -> bool:
+        """Whether the sensor says how the camera was turned at a time [ns].
 
         Raises:
-            PoseUnavailableError: the next sample, which is to come, will tell.
+            PoseUnavailableError: the next sample, which is to come, will say.
         """
-        if not self._stamps or stamp < self._stamps[0]:
-            return None
+        if not self._stamps or not self._stamps[0] <= stamp <= self._stamps[-1] + _SILENT:
+            return False
+        if not self.is_mounted(self._frame):
+            return False
         late = stamp - self._stamps[-1]
-        if late > _SILENT:
-            return None
-        R_sensor_camera = self._mounting(self._frame)
-        if R_sensor_camera is None:
-            return None
         if late > 0:
             text = f"stamp {stamp} ns is {1e-9 * late:.3f} s after the last inertial sample"
             raise PoseUnavailableError(text, "after the last inertial sample", may_arrive=True)
+        return True
+
+    def at(self, stamp: int) -> InertialReading | None:
+        """What is known at a time [ns]; None where that is nothing. Raises as `knows`."""
+        R_sensor_camera = self._mounting(self._frame) if self.knows(stamp) else None
+        if R_sensor_camera is None:
+            return None
         place = bisect_right(self._stamps, stamp) - 1
         following = min(place + 1, len(self._stamps) - 1)
         rate = 0.5 * (self._rates[place] + self._rates[following])

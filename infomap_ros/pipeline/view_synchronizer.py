@@ -137,11 +137,9 @@ class ViewSynchronizer(Generic[Item]):
         motion = self._used_motion
         if motion is not None:
             return PoseRecord(stamp, "", motion.posture(stamp).T_odom_camera)
-        self._reading_at(stamp)
+        if self._inertial is not None:
+            self._inertial.knows(stamp)
         return PoseRecord(stamp, "", np.eye(4))
-
-    def _reading_at(self, stamp: int) -> InertialReading | None:
-        return None if self._inertial is None else self._inertial.at(stamp)
 
     def _on_no_pose(self, images: Item, reason: str, sentence: str) -> None:
         if reason == CLOCK_JUMPED or (self._used_motion is not None and not self._has_begun):
@@ -152,8 +150,8 @@ class ViewSynchronizer(Generic[Item]):
 
     def _complete(self, images: Item) -> PosturedView[Item]:
         """Images with the robot's posture and body."""
-        motion = self._used_motion
+        motion, stamp = self._used_motion, images.stamp
         if motion is None:
-            return PosturedView(images, inertial=self._reading_at(images.stamp))
-        stamp = images.stamp
+            reading = None if self._inertial is None else self._inertial.at(stamp)
+            return PosturedView(images, inertial=reading)
         return PosturedView(images, motion.posture(stamp), motion.body(stamp), motion.odom_frame)

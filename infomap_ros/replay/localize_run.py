@@ -293,17 +293,16 @@ def find_localize_inputs(
     image_topic = perception.sources.images[0]
     camera_frame = frame_of(bag, image_topic)
     odometry = _find_odometry(types, options)
-    imu = "" if odometry else _find_imu(bag, types, options, camera_frame)
-    tf_topics = tf_topics_of(types) if odometry or imu else []
+    tf_topics = tf_topics_of(types) if odometry else []
     joints = joint_topics_of(types, options.topics.get("joints", "")) if odometry else []
-    static = static_transforms(bag, tf_topics)
-    motion = inertial = None
+    motion, imu, inertial = None, "", None
     if odometry:
         robot = _find_robot(bag, types, options)
+        static = static_transforms(bag, tf_topics)
         motion = RobotMotion(camera_frame, robot, static, options.poses)
-    elif imu:
-        inertial = InertialSensor(camera_frame, static)
-    moving = moving_tf_topics(tf_topics) if odometry else []
+    else:
+        imu, inertial = _find_imu(bag, types, options, camera_frame)
+    moving = moving_tf_topics(tf_topics)
     motions = [topic for topic in (odometry, imu) if topic]
     topics = dict.fromkeys([*perception.sources.names, *motions, *moving, *joints])
     frames = bag.topics[image_topic].count
@@ -335,24 +334,26 @@ def _find_odometry(types: Topics, options: LocalizeOptions) -> str:
     return min(found, key=len, default="")
 
 
-def _find_imu(bag: Recording, types: Topics, options: LocalizeOptions, camera_frame: str) -> str:
-    """Topic of an inertial sensor that is fixed to the camera; empty where there is none."""
+def _find_imu(
+    bag: Recording, types: Topics, options: LocalizeOptions, camera_frame: str
+) -> tuple[str, InertialSensor | None]:
+    """An inertial sensor that is fixed to the camera, and its topic; empty where there is none."""
     given = options.topics.get("imu", "")
     if given:
         check_present(types, [given])
     if options.input.motion == "none":
-        return ""
+        return "", None
     sensor = InertialSensor(camera_frame, static_transforms(bag, tf_topics_of(types)))
     found = sorted((n for n, kind in types.items() if kind == IMU), key=len)
     for topic in [given] if given else found:
         sample = next(bag.records([topic]), None)
         if sample is not None and sensor.is_mounted(sample.record.frame_id):
-            return topic
+            return topic, sensor
         why = "nothing on it can be read"
         if sample is not None:
             why = f"no fixed transform leads from {sample.record.frame_id} to {camera_frame}"
         bag.problems.append(f"{topic} is not used: {why}")
-    return ""
+    return "", None
 
 
 def _find_robot(bag: Recording, types: Topics, options: LocalizeOptions) -> RobotModel | None:

@@ -84,8 +84,7 @@ class FreeMotion:
     def _learn_bias(self, shown: FloatArray, measured: FloatArray, duration: float) -> None:
         """What the gyroscope tells at rest, by a Kalman filter of three equal axes."""
         variance = self._bias_variance + _GYRO_DRIFT**2 * duration
-        noise = (_IMAGE_TURN / duration) ** 2 + _GYRO_NOISE**2 / duration
-        noise += (_GYRO_DELAY * float(np.linalg.norm(logarithm(measured))) / duration**2) ** 2
+        noise = (_IMAGE_TURN**2 + _gyro_variance(measured, duration)) / duration**2
         innovation = logarithm(shown.T @ measured) / duration - self._bias
         if innovation @ innovation > _IMPROBABLE * (variance + noise):
             return
@@ -111,8 +110,7 @@ class FreeMotion:
             motion = make_transform(exponential(step[3:]), step[:3])
             return MotionPrior(motion, _covariance(speed * time, turn_rate * time))
         turned = self.turn @ exponential(-self._bias * duration)
-        delayed = _GYRO_DELAY * float(np.linalg.norm(logarithm(turned))) / max(duration, 1e-3)
-        variance = (self._bias_variance * duration + _GYRO_NOISE**2) * duration + delayed**2
+        variance = self._bias_variance * duration**2 + _gyro_variance(turned, duration)
         covariance = _covariance(speed * time, float(np.sqrt(variance)))
         return MotionPrior(make_transform(turned, step[:3]), covariance)
 
@@ -131,6 +129,12 @@ class FreeMotion:
     def _sigmas(self) -> tuple[float, float]:
         speed, turn_rate = (float(np.linalg.norm(part)) for part in np.split(self._velocity, 2))
         return _SPEED + _CHANGE * speed, _TURN_RATE + _CHANGE * turn_rate
+
+
+def _gyro_variance(turn: FloatArray, duration: float) -> float:
+    """Of a turn, shape (3, 3), by a gyroscope without bias, along each axis [rad^2]."""
+    rate = float(np.linalg.norm(logarithm(turn))) / max(duration, 1e-3)
+    return _GYRO_NOISE**2 * duration + (_GYRO_DELAY * rate) ** 2
 
 
 def _covariance(distance: float, turn: float) -> FloatArray:

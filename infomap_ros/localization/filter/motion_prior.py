@@ -41,6 +41,13 @@ class MotionPrior:
         object.__setattr__(self, "T_before_after", transform)
         object.__setattr__(self, "covariance", check_covariance(self.covariance, 6))
 
+    @property
+    def is_rest(self) -> bool:
+        """Whether no more motion is expected than encoders show at rest."""
+        distance = float(np.linalg.norm(self.T_before_after[:3, 3]))
+        turned = float(Rotation.from_matrix(self.T_before_after[:3, :3]).magnitude())
+        return distance <= _REST_DISTANCE and turned <= _REST_TURN
+
     def then(self, later: MotionPrior) -> MotionPrior:
         """This motion followed by another one, whose error is independent."""
         own = self.T_before_after, self.covariance
@@ -94,15 +101,10 @@ class KinematicMotion:
     def since(self, before: RobotPosture, after: RobotPosture) -> MotionPrior:
         """As `between`; a robot that stands as it stood is where it was, as surely as then.
 
-        The kinematics err anew where the arm or the base has moved; where neither has, they err as
-        they did when the pose before was measured.
+        Where neither arm nor base has moved, the kinematics err as they did before.
         """
-        motion = invert_transform(before.T_odom_camera) @ after.T_odom_camera
-        distance = float(np.linalg.norm(motion[:3, 3]))
-        turned = float(Rotation.from_matrix(motion[:3, :3]).magnitude())
-        if distance < _REST_DISTANCE and turned < _REST_TURN:
-            return MotionPrior(motion, np.zeros((6, 6)))
-        return self.between(before, after)
+        prior = self.between(before, after)
+        return replace(prior, covariance=np.zeros((6, 6))) if prior.is_rest else prior
 
     def _odometry_covariance(self, before: RobotPosture, after: RobotPosture) -> FloatArray:
         """What the base's motion adds, in the old camera's frame, shape (6, 6)."""

@@ -42,8 +42,8 @@ _PARTS = "camera_pose_uncertainty"  # names the origin of the map that a pose is
 class RobotTimeout:
     """A time limit that counts the robot's time where that goes slower than the clock.
 
-    A simulator that a busy machine slows down makes an image in the time of ten: what it is waited
-    for comes all the same. Where odometry stands still or jumps back, the clock alone counts.
+    What a simulator on a busy machine is waited for comes, but later. Where odometry stands still
+    or jumps back, the clock alone counts.
 
     Args:
         timeout: [s].

@@ -129,6 +129,7 @@ def _draw_path(axes: Axes, then: Trajectory, now: Trajectory, which: tuple[int, 
     axes.set_xlabel(f"{'xyz'[which[0]]} [m]")
     axes.set_ylabel(f"{'xyz'[which[1]]} [m]")
     axes.set_aspect("equal", adjustable="datalim")
+    axes.locator_params(nbins=6)  # numbers of a path of centimeters are long
     axes.grid(visible=True, alpha=0.3)
     axes.legend(loc="best", fontsize="small")
 
